@@ -1,0 +1,160 @@
+"""Walk records in chunks: find their pieces, centre and scale them, read them in stretches."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from .errors import DataError, OptionError, check_choice
+from .record import Channel, Floats, Record, rows_per_chunk
+
+OFFSETS = ("estimate", "mean", "none")
+CONSTANT_LIMIT = 1e-12  # std relative to the largest magnitude: what rounding leaves of a constant
+
+
+@dataclass(frozen=True)
+class Segment:
+    """A contiguous piece of one record: samples [start, stop)."""
+
+    record: int
+    start: int
+    stop: int
+
+    @property
+    def length(self) -> int:
+        return self.stop - self.start
+
+
+@dataclass(frozen=True, eq=False)
+class Stream:
+    """Records as one source of scaled, pre-centred samples z = [u; y].
+
+    Scaling by powers of two is exact; the centre is a rough mean that keeps the sums
+    well conditioned (and is zero for offset "none").
+    """
+
+    records: tuple[Record, ...]
+    segments: tuple[Segment, ...]
+    centre: Floats
+    scale: Floats
+    offset: str
+
+    @property
+    def n_inputs(self) -> int:
+        return self.records[0].n_inputs
+
+    @property
+    def n_outputs(self) -> int:
+        return self.records[0].n_outputs
+
+    @property
+    def n_samples(self) -> int:
+        return sum(segment.length for segment in self.segments)
+
+    @property
+    def input_scale(self) -> Floats:
+        return self.scale[: self.n_inputs]
+
+    @property
+    def output_scale(self) -> Floats:
+        return self.scale[self.n_inputs :]
+
+    def read(self, segment: Segment, start: int, stop: int) -> Floats:
+        """Return samples [start, stop) of a segment, centred and scaled (rows, channels)."""
+        rows = self.records[segment.record].read(segment.start + start, segment.start + stop)
+        return (rows - self.centre) / self.scale
+
+    def chunks(self, segment: Segment, rows: int | None = None) -> Iterator[tuple[int, Floats]]:
+        """Yield (first row, samples) of a segment from front to end."""
+        step = rows or rows_per_chunk(len(self.scale))
+        for start in range(0, segment.length, step):
+            yield start, self.read(segment, start, min(start + step, segment.length))
+
+
+def as_records(data: Record | Sequence[Record]) -> tuple[Record, ...]:
+    """Return one or several records as a tuple, checked to belong together."""
+    if not isinstance(data, Record | Iterable):
+        raise OptionError(f"Expected a Record or several; got {type(data).__name__}.")
+    records = (data,) if isinstance(data, Record) else tuple(data)
+    if not records:
+        raise OptionError("No record was given; give at least one.")
+    first = records[0]
+    for other in records:
+        if not isinstance(other, Record):
+            raise OptionError(f"Expected a Record; got {type(other).__name__}.")
+        if (other.output_names, other.input_names) != (first.output_names, first.input_names):
+            raise DataError("The records have different channels; select the same in each.")
+        if abs(other.dt - first.dt) > 1e-9 * first.dt:
+            raise DataError(
+                f"The records have different sampling intervals, {first.dt:g} s and "
+                f"{other.dt:g} s; decimate to one."
+            )
+    return records
+
+
+def open_stream(data: Record | Sequence[Record], offset: str = "estimate") -> Stream:
+    """Walk the data once: find segments, means and scales, and refuse what cannot be used.
+
+    Raises
+    ------
+    DataError
+        No sample without NaN, infinite values, or a constant channel.
+    """
+    check_choice("offset", offset, OFFSETS)
+    records = as_records(data)
+    segments = tuple(
+        Segment(index, start, stop)
+        for index, record in enumerate(records)
+        for start, stop in record.segments()
+    )
+    channels = records[0].input_channels + records[0].output_channels
+    if not segments:
+        raise DataError(
+            f"No sample has all {len(channels)} channels: every row holds a NaN. Leave out the "
+            "channels that are missing, or check the file."
+        )
+    mean, std = _mean_and_std(records, segments)
+    _refuse_constant(channels, mean, std)
+    level = std if offset != "none" else np.hypot(mean, std)
+    return Stream(
+        records,
+        segments,
+        centre=np.zeros_like(mean) if offset == "none" else mean,
+        scale=np.exp2(np.round(np.log2(level))),
+        offset=offset,
+    )
+
+
+def _mean_and_std(records: Sequence[Record], segments: Sequence[Segment]) -> tuple[Floats, Floats]:
+    """Pool means and sums of squares over chunks (Chan, Golub & LeVeque 1983)."""
+    count = 0
+    mean = np.zeros(records[0].n_inputs + records[0].n_outputs)
+    squares = np.zeros_like(mean)
+    for segment in segments:
+        record = records[segment.record]
+        step = rows_per_chunk(len(mean))
+        for start in range(segment.start, segment.stop, step):
+            rows = record.read(start, min(start + step, segment.stop))
+            chunk_mean = rows.mean(axis=0)
+            shift = chunk_mean - mean
+            total = count + len(rows)
+            squares += ((rows - chunk_mean) ** 2).sum(axis=0) + shift**2 * count * len(rows) / total
+            mean += shift * len(rows) / total
+            count = total
+    return mean, np.sqrt(squares / count)
+
+
+def _refuse_constant(channels: Sequence[Channel], mean: Floats, std: Floats) -> None:
+    flat = [
+        channel.name
+        for channel, m, s in zip(channels, mean, std, strict=True)
+        if s <= CONSTANT_LIMIT * abs(m) or s == 0
+    ]
+    if flat:
+        names = ", ".join(flat[:6]) + (" …" if len(flat) > 6 else "")
+        raise DataError(
+            f"{len(flat)} of {len(channels)} channels do not move: {names}. A constant channel "
+            "says nothing about the structure; leave it out with select()."
+        )

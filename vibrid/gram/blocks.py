@@ -1,0 +1,157 @@
+"""BlockGram: everything a subspace method needs to know of a record, in a few matrices."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from ..chunks import Segment
+from ..errors import OptionError, check_whole
+from ..record import Floats
+
+
+@dataclass(frozen=True, eq=False)
+class BlockGram:
+    """Hold lagged sums of z = [u; y] for consecutive time blocks.
+
+    The Gram matrix of the block Hankel, G = Σ_t h(t) h(t)ᵀ with h(t) = [z(t); …; z(t+L−1)],
+    follows exactly from the lagged sums R[l] = Σ_t z(t) z(t+l)ᵀ over its columns and the
+    L − 1 samples at each edge, because moving one block row down and right adds the last and
+    drops the first product: G[k+1, l+1] = G[k, l] + z(j+k) z(j+l)ᵀ − z(k) z(l)ᵀ.
+    Sums of blocks, gaps, records and machines are sums of these.
+
+    Attributes
+    ----------
+    lags : array (n_blocks, n_rows, c, c)
+        R[l] of each time block; c = n_inputs + n_outputs.
+    sums : array (n_blocks, c)
+        Σ_t z(t) over the block's columns.
+    heads, tails : array (n_blocks, n_rows − 1, c)
+        The block's first samples, and those from its column count on.
+    columns : array (n_blocks,)
+        How many Hankel columns each block has.
+    owners : array (n_blocks,)
+        Which segment each block belongs to.
+    segments : tuple of Segment
+    centre, scale : array (c,)
+        z = (measured − centre) / scale.
+    n_inputs : int
+    offset : str
+        "estimate" projects a constant out of every Hankel row, segment by segment.
+    """
+
+    lags: Floats
+    sums: Floats
+    heads: Floats
+    tails: Floats
+    columns: np.ndarray[tuple[int], np.dtype[np.int64]]
+    owners: np.ndarray[tuple[int], np.dtype[np.int64]]
+    segments: tuple[Segment, ...]
+    centre: Floats
+    scale: Floats
+    n_inputs: int
+    offset: str
+
+    @property
+    def n_rows(self) -> int:
+        """Block rows of the Hankel matrix."""
+        return int(self.lags.shape[1])
+
+    @property
+    def n_channels(self) -> int:
+        return int(self.lags.shape[2])
+
+    @property
+    def n_outputs(self) -> int:
+        return self.n_channels - self.n_inputs
+
+    @property
+    def n_columns(self) -> int:
+        return int(self.columns.sum())
+
+    @property
+    def projected_columns(self) -> int:
+        """Columns left after the constant of every segment is projected out."""
+        used = len(np.unique(self.owners)) if self.offset == "estimate" else 0
+        return self.n_columns - used
+
+    def shorten(self, n_rows: int) -> BlockGram:
+        """Return the Gram of the first `n_rows` block rows over the same columns."""
+        check_whole("n_rows", n_rows, 1, self.n_rows)
+        return replace(
+            self,
+            lags=self.lags[:, :n_rows],
+            heads=self.heads[:, : n_rows - 1],
+            tails=self.tails[:, : n_rows - 1],
+        )
+
+    def __add__(self, other: BlockGram) -> BlockGram:
+        """Join the Grams of other segments, reduced with the same centre and scale."""
+        same = np.array_equal(self.scale, other.scale) and np.array_equal(self.centre, other.centre)
+        if not same or self.n_rows != other.n_rows or self.offset != other.offset:
+            raise OptionError(
+                "Only Grams with the same block rows, offset rule, centre and scale add up; "
+                "reduce both from one stream."
+            )
+        return replace(
+            self,
+            lags=np.concatenate([self.lags, other.lags]),
+            sums=np.concatenate([self.sums, other.sums]),
+            heads=np.concatenate([self.heads, other.heads]),
+            tails=np.concatenate([self.tails, other.tails]),
+            columns=np.concatenate([self.columns, other.columns]),
+            owners=np.concatenate([self.owners, other.owners + len(self.segments)]),
+            segments=self.segments + other.segments,
+        )
+
+    def covariances(self) -> Floats:
+        """Return Σ z(t) z(t+l)ᵀ over all columns, constants projected out: (n_rows, c, c)."""
+        total = np.zeros_like(self.lags[0])
+        for owner in np.unique(self.owners):
+            mine = self.owners == owner
+            total += self.lags[mine].sum(axis=0)
+            if self.offset == "estimate":
+                rows = self._row_sums(mine)
+                total -= rows[0][:, None] * rows[:, None, :] / self.columns[mine].sum()
+        return np.asarray(total)
+
+    def matrix(self) -> Floats:
+        """Return the Gram (n_rows · c, n_rows · c), rows ordered by lag, then channel."""
+        c, n = self.n_channels, self.n_rows
+        total = np.zeros((n * c, n * c))
+        for owner in np.unique(self.owners):
+            mine = self.owners == owner
+            part = self._expanded(mine)
+            if self.offset == "estimate":
+                rows = self._row_sums(mine).ravel()
+                part -= np.outer(rows, rows / self.columns[mine].sum())
+            total += part
+        upper = np.triu(total)
+        return np.asarray(upper + np.triu(upper, 1).T)
+
+    def _edges(self, mine: np.ndarray[tuple[int], np.dtype[np.bool_]]) -> tuple[Floats, Floats]:
+        # blocks of a segment follow each other, so inner edges cancel
+        chosen = np.flatnonzero(mine)
+        return self.heads[chosen[0]], self.tails[chosen[-1]]
+
+    def _row_sums(self, mine: np.ndarray[tuple[int], np.dtype[np.bool_]]) -> Floats:
+        head, tail = self._edges(mine)
+        first = self.sums[mine].sum(axis=0)
+        return np.vstack([first, first + np.cumsum(tail - head, axis=0)])
+
+    def _expanded(self, mine: np.ndarray[tuple[int], np.dtype[np.bool_]]) -> Floats:
+        """Fill the upper triangle by displacement, one block row from the one above it."""
+        c, n = self.n_channels, self.n_rows
+        head, tail = self._edges(mine)
+        first, last = head.ravel(), tail.ravel()
+        gram = np.zeros((n * c, n * c))
+        gram[:c] = self.lags[mine].sum(axis=0).transpose(1, 0, 2).reshape(c, n * c)
+        for k in range(n - 1):
+            row, below = slice(k * c, (k + 1) * c), slice((k + 1) * c, (k + 2) * c)
+            gram[below, (k + 1) * c :] = (
+                gram[row, k * c : -c]
+                + tail[k][:, None] * last[k * c :]
+                - head[k][:, None] * first[k * c :]
+            )
+        return gram

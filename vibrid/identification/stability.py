@@ -1,0 +1,107 @@
+"""What to do with an unstable model: raise, project, or return it as it is."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from ..errors import UnstableModelError
+from ..fit import Finding, Fit
+from ..kalman import DETECTABLE, spectral_radius
+from ..record import Floats
+from .choice import STABLE_TO
+
+NEIGHBOURS = 12  # orders above and below that the error message tries
+INSIDE = 1 - 1e-9  # a projected pole stays at least this far from the circle
+
+POLICIES = ("raise", "project", "ignore")
+
+
+def is_stable(fit: Fit) -> bool:
+    """Tell whether no pole lies outside the unit circle (an undamped one may lie on it)."""
+    return fit.model.spectral_radius <= STABLE_TO
+
+
+def settle(fit: Fit, policy: str, method: Any, decomposition: Any) -> Fit:
+    """Return the fit as the stability policy wants it.
+
+    Raises
+    ------
+    UnstableModelError
+        The policy is "raise" and a pole lies outside the unit circle.
+    """
+    if is_stable(fit):
+        return fit
+    outside = _worst_pole(fit)
+    if policy == "raise":
+        near = _stable_orders(method, decomposition, fit.order)
+        raise UnstableModelError(
+            f"The model of order {fit.order} is unstable: {outside}. "
+            + (f"Orders {near} are stable; or u" if near else "U")
+            + 'se other block_rows, or stability="project" (--stability project).'
+        )
+    if policy == "project":
+        return _projected(fit, outside)
+    finding = Finding("unstable", "warning", f"The model is unstable: {outside}.")
+    return replace(
+        fit,
+        initial_states=np.zeros_like(fit.initial_states),
+        diagnostics=fit.diagnostics.joined({"completion": "regression"}, [finding]),
+    )
+
+
+def _worst_pole(fit: Fit) -> str:
+    poles = fit.model.poles
+    worst = poles[np.argmax(np.abs(poles))]
+    dt = fit.model.dt or 1.0
+    frequency = abs(np.log(complex(worst))) / (2 * np.pi * dt)
+    count = int((np.abs(poles) > STABLE_TO).sum())
+    more = f", the worst of {count} such poles" if count > 1 else ""
+    return f"a pole has magnitude {abs(worst):.6g} at {frequency:.4g} Hz{more}"
+
+
+def _stable_orders(method: Any, decomposition: Any, order: int) -> str:
+    """Name the nearest stable orders below and above."""
+    found = []
+    largest = decomposition.largest_order
+    for step in (
+        range(order - 1, max(0, order - NEIGHBOURS), -1),
+        range(order + 1, min(largest, order + NEIGHBOURS) + 1),
+    ):
+        for k in step:
+            if is_stable(method.realize(decomposition, k)):
+                found.append(str(k))
+                break
+    return " and ".join(found)
+
+
+def _projected(fit: Fit, outside: str) -> Fit:
+    """Reflect the poles outside the unit circle into it; frequencies stay."""
+    values, vectors = np.linalg.eig(fit.model.A)
+    size = np.abs(values)
+    inside = np.where(size > 1, np.minimum(1 / size, INSIDE) / size * values, values)
+    A: Floats = np.real(vectors * inside @ np.linalg.inv(vectors))
+    finding = Finding(
+        "projected",
+        "warning",
+        f"The model was unstable ({outside}) and was projected: its poles outside the unit circle "
+        "were reflected into it.",
+        "Damping of these poles is not to be believed; try another order.",
+    )
+    model = fit.model
+    K = fit.kalman_gain
+    if spectral_radius(A - K @ model.C) >= DETECTABLE:
+        K = np.zeros_like(K)
+    return replace(
+        fit,
+        model=_with_transition(model, A),
+        kalman_gain=K,
+        diagnostics=fit.diagnostics.joined({}, [finding]),
+    )
+
+
+def _with_transition(model: Any, A: Floats) -> Any:
+    """Return the model with another A."""
+    return type(model)(A, model.B, model.C, model.D, model.dt)

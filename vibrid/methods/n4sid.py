@@ -1,0 +1,136 @@
+"""N4SID family: subspace identification of systems with measured inputs."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+from ..chunks import Stream
+from ..errors import DataError, check_choice
+from ..fit import Fit, feedthrough_mask
+from ..gram import BlockGram, factorize
+from ..linalg import one_blas_thread
+from ..record import Record
+from .preparation import check_order, horizon, prepare
+from .subspace import (
+    Layout,
+    Subspace,
+    as_fit,
+    oblique_states,
+    output_unit,
+    projected_states,
+)
+
+WEIGHTINGS = ("cva", "moesp", "n4sid")
+TRANSITIONS = ("auto", "regression", "shift")
+COMPLETIONS = ("auto", "simulation", "prediction", "regression")
+
+
+@dataclass(frozen=True)
+class N4SID:
+    """Identify a state-space model from inputs and outputs by subspace projection.
+
+    The common frame of Van Overschee & De Moor (1996): the future outputs are projected on
+    the past along the future inputs, a weighted singular value decomposition gives the
+    states, and everything comes from the triangular factor of one Gram matrix.
+
+    Parameters
+    ----------
+    weighting : "cva", "moesp" or "n4sid"
+        Canonical variates (Larimore 1990), PO-MOESP (Verhaegen 1994), or none.
+    block_rows : int, optional
+        Future horizon, and past horizon unless `past_rows` says otherwise [samples];
+        chosen by prediction error when left out.
+    past_rows : int, optional
+        Past horizon [samples].
+    transition : "auto", "regression" or "shift"
+        A and C from regression of the states or from shift invariance of the observability
+        matrix; "auto" takes the one that predicts better over the horizon.
+    completion : "auto", "simulation", "prediction" or "regression"
+        How B, D and the initial states of the chosen order are found: least squares on the
+        simulation (best without process noise), on the prediction, or none beyond the
+        state regression.
+
+    Notes
+    -----
+    With the LQ blocks of [U_f; W_p; Y_f] (Pappalardo et al. 2022, eq. 66-83;
+    their W₂ = Π is singular, so the states come from Γ and never from its inverse):
+    MOESP X = L32; N4SID X = L32 L22⁻¹ [L21 L22]; CVA X = T⁻¹ L32 with
+    T Tᵀ = L32 L32ᵀ + L33 L33ᵀ. Then X = U S Vᵀ, Γ = T U S^½ and x(t) = J W_p(t).
+    Shift invariance is biased in closed loop, regression where the horizon is short.
+
+    Examples
+    --------
+    >>> N4SID(weighting="moesp", block_rows=15).block_rows
+    15
+    """
+
+    weighting: str = field(default="cva", metadata={"help": "cva, moesp or n4sid"})
+    block_rows: int | None = field(
+        default=None, metadata={"help": "future horizon in samples; chosen when left out"}
+    )
+    past_rows: int | None = field(
+        default=None, metadata={"help": "past horizon in samples; as block_rows when left out"}
+    )
+    transition: str = field(
+        default="auto", metadata={"help": "A from regression, shift, or the better of both (auto)"}
+    )
+    completion: str = field(
+        default="auto",
+        metadata={"help": "B, D, x0 by simulation, prediction, regression, or auto"},
+    )
+
+    def __post_init__(self) -> None:
+        check_choice("weighting", self.weighting, WEIGHTINGS)
+        check_choice("transition", self.transition, TRANSITIONS)
+        check_choice("completion", self.completion, COMPLETIONS)
+        horizon(self.block_rows, self.past_rows)
+
+    def decompose(
+        self,
+        data: Record | Sequence[Record] | Stream,
+        *,
+        offset: str = "estimate",
+        feedthrough: bool | Sequence[bool] | None = None,
+        gram: BlockGram | None = None,
+    ) -> Subspace:
+        """Reduce and factor the data once, for models of every order.
+
+        Raises
+        ------
+        DataError
+            No inputs, too few samples, constant or all-NaN channels.
+        """
+        past, future = horizon(self.block_rows, self.past_rows)
+        stream, gram = prepare(data, past, future, offset, gram)
+        m, p = stream.n_inputs, stream.n_outputs
+        if m == 0:
+            raise DataError("N4SID needs inputs; the record has none. Name them, or use SSI.")
+        layout = Layout(past, future, m, p, tuple(range(m + p)))
+        factor = factorize(gram, stream, layout.rows)
+        with one_blas_thread():
+            if self.weighting == "n4sid":
+                gamma, state_map, values = oblique_states(factor.triangle, layout)
+            else:
+                gamma, state_map, values = projected_states(
+                    factor.triangle, layout, whiten=self.weighting == "cva"
+                )
+        if self.weighting != "cva":
+            values = values * output_unit(stream)
+        channels = stream.records[0].output_channels
+        return Subspace(
+            layout=layout,
+            factor=factor,
+            stream=stream,
+            gram=gram,
+            gamma=gamma,
+            state_map=state_map,
+            singular_values=values,
+            feedthrough=feedthrough_mask(feedthrough, channels),
+            transition=self.transition,
+        )
+
+    def realize(self, decomposition: Subspace, order: int) -> Fit:
+        """Return the model of one order; no pass over the data."""
+        check_order(order, decomposition.largest_order, decomposition.limit)
+        return as_fit(self, decomposition, decomposition.realize(order, self.transition))

@@ -1,0 +1,152 @@
+"""SSI: stochastic subspace identification from outputs alone."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from ..chunks import Stream
+from ..errors import DataError, check_choice, check_names
+from ..fit import Fit, feedthrough_mask
+from ..gram import BlockGram, factorize
+from ..linalg import divide_by_lower, one_blas_thread
+from ..record import Floats, Record
+from .n4sid import TRANSITIONS
+from .preparation import check_order, horizon, prepare
+from .subspace import Layout, Subspace, as_fit, kept_svd, output_unit, projected_states
+
+KINDS = ("covariance", "data")
+
+
+@dataclass(frozen=True)
+class SSI:
+    """Identify modes from outputs alone, under unmeasured broadband excitation.
+
+    Covariance-driven (SSI-cov) or data-driven (SSI-data), with reference channels, after
+    Van Overschee & De Moor (1996) and Peeters & De Roeck (1999). Exact for noise-free free
+    decays too.
+
+    Parameters
+    ----------
+    kind : "covariance" or "data"
+        Block Hankel of output covariances, or projection of future on past outputs.
+    block_rows : int, optional
+        Future horizon, and past horizon unless `past_rows` says otherwise [samples];
+        chosen by prediction error when left out.
+    past_rows : int, optional
+        Past horizon [samples].
+    references : sequence of str, optional
+        Names of the outputs that serve as past; all by default.
+    transition : "shift", "regression" or "auto"
+        A and C from shift invariance (the method's own) or from regression of the states.
+
+    Notes
+    -----
+    Covariance: H[a, b] = Λ(a+b+1), Λ(l) = Σ y(t+l) y_ref(t)ᵀ, H = U S Vᵀ, Γ = U S^½ and the
+    predictor's state x = S^-½ Uᵀ (Y_f / Y_p) Y_p (Han, Bohn & Bauer 2021, section 2). Data:
+    the singular values of L21, the past's part of the future, as the MOESP of no inputs.
+
+    Examples
+    --------
+    >>> SSI(kind="covariance", block_rows=40).kind
+    'covariance'
+    """
+
+    kind: str = field(default="covariance", metadata={"help": "covariance or data"})
+    block_rows: int | None = field(
+        default=None, metadata={"help": "future horizon in samples; chosen when left out"}
+    )
+    past_rows: int | None = field(
+        default=None, metadata={"help": "past horizon in samples; as block_rows when left out"}
+    )
+    references: tuple[str, ...] | None = field(
+        default=None, metadata={"help": "outputs that serve as past; all when left out"}
+    )
+    transition: str = field(
+        default="shift", metadata={"help": "A from shift, regression, or the better of both (auto)"}
+    )
+
+    def __post_init__(self) -> None:
+        check_choice("kind", self.kind, KINDS)
+        check_choice("transition", self.transition, TRANSITIONS)
+        horizon(self.block_rows, self.past_rows)
+        if self.references is not None:
+            object.__setattr__(self, "references", tuple(self.references))
+
+    def decompose(
+        self,
+        data: Record | Sequence[Record] | Stream,
+        *,
+        offset: str = "estimate",
+        feedthrough: bool | Sequence[bool] | None = None,
+        gram: BlockGram | None = None,
+    ) -> Subspace:
+        """Reduce and factor the data once, for models of every order.
+
+        Raises
+        ------
+        DataError
+            Inputs present, too few samples, constant or all-NaN channels.
+        OptionError
+            Unknown references.
+        """
+        past, future = horizon(self.block_rows, self.past_rows)
+        stream, gram = prepare(data, past, future, offset, gram)
+        if stream.n_inputs:
+            raise DataError(
+                f"SSI takes outputs alone; the record has {stream.n_inputs} inputs. Drop them "
+                "with select(inputs=[]), or use N4SID."
+            )
+        channels = stream.records[0].output_channels
+        layout = Layout(past, future, 0, len(channels), self._past_channels(stream.records[0]))
+        factor = factorize(gram, stream, layout.rows)
+        with one_blas_thread():
+            if self.kind == "data":
+                gamma, state_map, values = projected_states(factor.triangle, layout, whiten=False)
+                values = values * output_unit(stream)
+            else:
+                gamma, state_map, values = _covariance_states(
+                    factor.triangle, layout, gram.covariances()
+                )
+                values = values * output_unit(stream) ** 2
+        return Subspace(
+            layout=layout,
+            factor=factor,
+            stream=stream,
+            gram=gram,
+            gamma=gamma,
+            state_map=state_map,
+            singular_values=values,
+            feedthrough=feedthrough_mask(feedthrough, channels),
+            transition=self.transition,
+        )
+
+    def realize(self, decomposition: Subspace, order: int) -> Fit:
+        """Return the model of one order; no pass over the data."""
+        check_order(order, decomposition.largest_order, decomposition.limit)
+        return as_fit(self, decomposition, decomposition.realize(order, self.transition))
+
+    def _past_channels(self, record: Record) -> tuple[int, ...]:
+        names = record.output_names
+        if self.references is None:
+            return tuple(range(len(names)))
+        check_names("output", self.references, names)
+        return tuple(names.index(name) for name in self.references)
+
+
+def _covariance_states(R: Floats, layout: Layout, lagged: Floats) -> tuple[Floats, Floats, Floats]:
+    """Return Γ, J and singular values from the block Hankel of output covariances."""
+    past = list(layout.past_channels)
+    steps = np.arange(layout.future_rows)[:, None] + np.arange(layout.past_rows) + 1
+    # lagged[l] = Σ y(t) y(t+l)ᵀ, so its transpose is Λ(l); the youngest past sample leads
+    blocks = lagged.transpose(0, 2, 1)[:, :, past][steps]
+    hankel = blocks.transpose(0, 2, 1, 3).reshape(
+        layout.future_rows * layout.n_outputs, layout.past_rows * len(past)
+    )
+    U, s, _ = kept_svd(hankel, layout.largest_order)
+    size = s[: U.shape[1]] ** 0.5
+    b = layout.n_past
+    predictor, _ = divide_by_lower(R[:b, b:].T, R[:b, :b].T)
+    return U * size, (U / size).T @ predictor, s

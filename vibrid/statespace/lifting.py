@@ -1,0 +1,168 @@
+"""Simulate a discrete system by lifting: many samples per matrix product.
+
+A block of T samples is one step of a "lifted" system,
+
+    x(k+T) = Aᵀ-power x(k) + [A^(T−1) B … B] U,    Y = O x(k) + H U,
+
+with O = [C; CA; …] and H the block Toeplitz matrix of Markov parameters, so that all blocks
+together are one matrix product. What is left, the state from block to block, is a slower
+system of the same kind and is lifted again. No eigenvalues are taken: unstable and
+defective A are as good as any.
+"""
+
+from __future__ import annotations
+
+import math
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from ..record import Floats
+
+CHUNK_ELEMENTS = 2**18  # per chunk and per block matrix; keeps the temporaries in the cache
+LOOP_STEPS = 1500  # so few steps are faster one by one than lifted
+SLOW_WIDTH = 256  # columns of the lifted matrix of the slow recursion
+
+
+class Lifting:
+    """Prepare x(k+1) = A x + B u, y = C x + D u for long simulations.
+
+    Parameters
+    ----------
+    A, B, C, D : arrays (n, n), (n, m), (p, n), (p, m)
+        The discrete system; m may be 0.
+    block : int, optional
+        Samples per block; by default chosen from the sizes.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> one = np.eye(1)
+    >>> counter = Lifting(one, one, one, 0 * one)
+    >>> first, state = counter.run(np.ones((3, 1)), np.zeros(1))
+    >>> second, state = counter.run(np.ones((2, 1)), state)
+    >>> first[:, 0], second[:, 0], state
+    (array([0., 1., 2.]), array([3., 4.]), array([5.]))
+    """
+
+    def __init__(self, A: Floats, B: Floats, C: Floats, D: Floats, block: int | None = None):
+        self.A, self.B, self.C, self.D = A, B, C, D
+        self.n, self.m, self.p = A.shape[0], B.shape[1], C.shape[0]
+        self.block = block or _block_length(self.n, self.m, self.p)
+        self._build()
+
+    def _build(self) -> None:
+        """Make the matrices of one block: [U, x] @ `_to_outputs`, U @ `_to_state`, `_power`."""
+        T, n, m, p = self.block, self.n, self.m, self.p
+        reach = np.empty((T, n, m))  # A^k B
+        observe = np.empty((T, p, n))  # C A^k
+        state, row = self.B, self.C
+        for k in range(T):
+            reach[k], observe[k] = state, row
+            state, row = self.A @ state, row @ self.A
+        markov = np.concatenate([np.zeros((1, p, m)), self.D[None], self.C @ reach[:-1]])
+        lag = np.arange(T)[:, None] - np.arange(T)[None, :]
+        toeplitz = markov[np.maximum(lag + 1, 0)]  # (T, T, p, m): output sample, input sample
+        self._to_outputs = np.concatenate(
+            [toeplitz.transpose(1, 3, 0, 2).reshape(T * m, T * p), observe.reshape(T * p, n).T]
+        )
+        self._to_state = reach[::-1].transpose(0, 2, 1).reshape(T * m, n)
+        self._power = np.linalg.matrix_power(self.A, T)
+
+    @cached_property
+    def _slow(self) -> Lifting:
+        """The system that takes the state from block to block."""
+        eye = np.eye(self.n)
+        return Lifting(self._power, eye, eye, np.zeros_like(eye), SLOW_WIDTH // self.n)
+
+    def run(self, inputs: Any, initial_state: Floats) -> tuple[Floats, Floats]:
+        """Return the outputs (n_samples, p) and the state after the last sample (n,).
+
+        `inputs` (n_samples, m) may stay on disk; it is read a chunk at a time. Feed the
+        returned state to the next call to go on where this one stopped.
+        """
+        N = int(inputs.shape[0])
+        outputs = np.empty((N, self.p))
+        state = np.array(initial_state, dtype=np.float64)
+        widest = max(self.n, self.m, self.p)
+        lift = LOOP_STEPS * self.block < N and 2 * self.n <= SLOW_WIDTH
+        rows = self.block * max(1, CHUNK_ELEMENTS // (widest * self.block))
+        for start in range(0, N, rows):
+            u = np.ascontiguousarray(inputs[start : start + rows], dtype=np.float64)
+            state = self._run_chunk(u, state, outputs[start : start + rows], lift)
+        return outputs, state
+
+    def _run_chunk(self, u: Floats, state: Floats, y: Floats, lift: bool) -> Floats:
+        """Fill y; return the state after the chunk."""
+        T, m, p = self.block, self.m, self.p
+        K = len(u) // T
+        rows = np.empty((K, T * m + self.n))
+        rows[:, : T * m] = u[: K * T].reshape(K, T * m)
+        drive = rows[:, : T * m] @ self._to_state
+        walk = self._slow.run if lift else self._walk
+        rows[:, T * m :], state = walk(drive, state)
+        np.matmul(rows, self._to_outputs, out=y[: K * T].reshape(K, T * p))
+        return self._run_rest(u[K * T :], state, y[K * T :])
+
+    def _run_rest(self, u: Floats, state: Floats, y: Floats) -> Floats:
+        """Do the last samples, fewer than a block."""
+        r = len(u)
+        if r:
+            y[:] = (
+                u.ravel() @ self._to_outputs[: r * self.m, : r * self.p]
+                + state @ self._to_outputs[self.block * self.m :, : r * self.p]
+            ).reshape(r, self.p)
+        for drive in u @ self.B.T:
+            state = self.A @ state + drive
+        return state
+
+    def _walk(self, drive: Floats, state: Floats) -> tuple[Floats, Floats]:
+        """Return the state at the start of every block, and after the last, one by one."""
+        states = np.empty_like(drive)
+        for k, step in enumerate(drive):
+            states[k] = state
+            state = self._power @ state + step
+        return states, state
+
+
+def simulate(
+    A: Floats, B: Floats, C: Floats, D: Floats, inputs: Any, initial_state: Floats
+) -> tuple[Floats, Floats]:
+    """Simulate x(k+1) = A x + B u, y = C x + D u.
+
+    Parameters
+    ----------
+    A, B, C, D : arrays (n, n), (n, m), (p, n), (p, m)
+        m may be 0.
+    inputs : array (n_samples, m)
+        In memory or on disk.
+    initial_state : array (n,)
+        State at the first sample.
+
+    Returns
+    -------
+    outputs : array (n_samples, p)
+    final_state : array (n,)
+        State at the sample after the last: the initial state of the next chunk.
+    """
+    n, m, p = A.shape[0], B.shape[1], C.shape[0]
+    # A block beyond √N costs more to prepare than it saves.
+    block = max(1, min(_block_length(n, m, p), math.isqrt(int(inputs.shape[0]))))
+    return Lifting(A, B, C, D, block).run(inputs, initial_state)
+
+
+def simulate_states(
+    A: Floats, B: Floats, inputs: Any, initial_state: Floats
+) -> tuple[Floats, Floats]:
+    """Return the states (n_samples, n) of x(k+1) = A x + B u, and the state after the last."""
+    n, m = B.shape
+    return simulate(A, B, np.eye(n), np.zeros((n, m)), inputs, initial_state)
+
+
+def _block_length(n: int, m: int, p: int) -> int:
+    """Return 32 or 64 samples, fewer when inputs times outputs make the Toeplitz matrix dear."""
+    T = 32 if n <= 20 else 64
+    while T > 4 and T * m * p > 4 * (n + m) * (n + p):
+        T //= 2
+    return T

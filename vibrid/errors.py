@@ -23,6 +23,9 @@ from pathlib import Path
 import numpy as np
 
 
+ALIKE = 0.5  # of difflib's ratio: "accel" is meant for "acceleration"
+
+
 class VibridError(Exception):
     """Base of all errors that vibrid raises on purpose."""
 
@@ -51,7 +54,7 @@ def check_choice(name: str, value: object, choices: Sequence[str]) -> None:
     """Raise `OptionError` unless `value` is one of `choices`; suggest the nearest."""
     if value in choices:
         return
-    near = difflib.get_close_matches(str(value), choices, n=1)
+    near = difflib.get_close_matches(str(value), choices, n=1, cutoff=ALIKE)
     hint = f" Did you mean {near[0]!r}?" if near else ""
     raise OptionError(f"{name} must be one of {', '.join(choices)}; got {value!r}.{hint}")
 
@@ -60,7 +63,7 @@ def check_names(kind: str, wanted: Iterable[str], known: Sequence[str]) -> None:
     """Raise `OptionError` when a wanted name is unknown; suggest the nearest."""
     for name in wanted:
         if name not in known:
-            near = difflib.get_close_matches(name, known, n=1)
+            near = difflib.get_close_matches(name, known, n=1, cutoff=ALIKE)
             hint = f" Did you mean {near[0]!r}?" if near else ""
             shown = ", ".join(known[:12]) + (" …" if len(known) > 12 else "")
             raise OptionError(f"No {kind} is called {name!r}; there are {shown}.{hint}")

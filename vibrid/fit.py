@@ -118,7 +118,7 @@ class Fit:
         -------
         array (n_samples, n_outputs)
         """
-        u = as_inputs(inputs, n_samples, self.model.n_inputs) - self.input_offset
+        u = np.asarray(as_inputs(inputs, n_samples, self.model.n_inputs)) - self.input_offset
         y = self.model.simulate(u, initial_state)
         return np.asarray(y + self.output_offset)
 
@@ -165,7 +165,15 @@ class Fit:
         self.check_channels(record)
         predicted = np.full((record.n_samples, record.n_outputs), np.nan)
         centre = np.concatenate([self.input_offset, self.output_offset])
-        for k, (start, stop) in enumerate(record.segments()):
+        pieces = record.segments()
+        if not isinstance(initial, str):
+            initial = np.asarray(initial, dtype=np.float64)
+            if initial.shape != (len(pieces), self.order):
+                raise OptionError(
+                    f"initial must hold {self.order} states for each of the {len(pieces)} pieces "
+                    f"of the record; got shape {initial.shape}."
+                )
+        for k, (start, stop) in enumerate(pieces):
             z = record.read(start, stop) - centre
             state = self._initial(predictor, z, initial if isinstance(initial, str) else initial[k])
             predicted[start:stop] = predictor.simulate(z, state) + self.output_offset

@@ -11,7 +11,7 @@ import scipy.linalg as sla
 from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment
 
-from .errors import DataError, OptionError
+from .errors import DataError, OptionError, check_positive
 from .fit import Fit
 from .record import Channel, Floats, make_channels
 from .statespace import StateSpace
@@ -123,7 +123,7 @@ def modes_of(model: Fit | StateSpace) -> Modes:
         system = model
         outputs = make_channels(None, system.n_outputs, "y")
         inputs = make_channels(None, system.n_inputs, "u")
-    values, vectors = sla.eig(system.A)
+    values, left, vectors = sla.eig(system.A, left=True, right=True)
     continuous = _continuous(values, system.dt)
     oscillates = (values.imag > 0) & (continuous.imag > 0)
     chosen = np.flatnonzero(oscillates)
@@ -133,10 +133,12 @@ def modes_of(model: Fit | StateSpace) -> Modes:
     shapes = _displacement_shapes(system.C @ vectors[:, chosen], poles, outputs)
     size = shapes[np.argmax(np.abs(shapes), axis=0), np.arange(len(chosen))]
     size = np.where(size == 0, 1, size)
-    participation = np.linalg.solve(vectors, _continuous_inputs(system, vectors, values, inputs))
-    rows = np.asarray(participation[chosen], dtype=np.complex128)
+    # left vectors, because V may be singular where other poles coincide (rigid-body motion)
+    left, right = left[:, chosen].conj().T, vectors[:, chosen]
+    modal = (left @ system.B) / np.sum(left.T * right, axis=0)[:, None]
+    rows = modal * _input_factors(system.dt, values[chosen], inputs) * size[:, None]
     unknown = np.full(len(chosen), np.nan)
-    return Modes(poles, shapes / size, rows * size[:, None], real, tuple(outputs), unknown, unknown)
+    return Modes(poles, shapes / size, rows, real, tuple(outputs), unknown, unknown)
 
 
 def _continuous(values: Complexes, dt: float | None) -> Complexes:
@@ -158,20 +160,18 @@ def _displacement_shapes(
     return np.asarray(sign[:, None] * measured / poles[None, :] ** power[:, None])
 
 
-def _continuous_inputs(
-    system: StateSpace, vectors: Complexes, values: Complexes, channels: Sequence[Channel]
-) -> Complexes:
-    """Return B in continuous time, mode by mode (formulas MKR-0; band-limited: b_d / (μ dt))."""
-    if system.dt is None or system.n_inputs == 0:
-        return system.B.astype(complex)
-    modal = np.linalg.solve(vectors, system.B.astype(complex))
-    rate = np.log(values.astype(complex)) / system.dt
-    still = np.abs(values - 1) < 1e-12
-    held = np.where(still, 1 / system.dt, rate / np.where(still, 1, values - 1))
-    limited = 1 / (values * system.dt)
-    base = np.array([channel.quantity == "base_acceleration" for channel in channels])
-    factor = np.where(base[None, :], limited[:, None], held[:, None])
-    return np.asarray(vectors @ (modal * factor * np.array([c.sign for c in channels])))
+def _input_factors(dt: float | None, values: Complexes, channels: Sequence[Channel]) -> Complexes:
+    """Return what turns rows of V⁻¹ B into continuous time and the inputs' own directions.
+
+    For held inputs λ / (μ − 1) (formulas MKR-0), for band-limited ones 1 / (μ dt).
+    """
+    sign = np.array([channel.sign for channel in channels])
+    if dt is None:
+        return np.asarray(np.ones((len(values), 1)) * sign, dtype=np.complex128)
+    held = np.log(values) / dt / (values - 1)
+    limited = 1 / (values * dt)
+    base = np.array([channel.quantity == "base_acceleration" for channel in channels], dtype=bool)
+    return np.asarray(np.where(base[None, :], limited[:, None], held[:, None]) * sign)
 
 
 def mac(first: NDArray[Any], second: NDArray[Any]) -> Floats:
@@ -230,7 +230,7 @@ def match_modes(
     damping_limit: float | None = None,
     mac_limit: float = 0.8,
 ) -> NDArray[np.int64]:
-    """Pair modes of two models, each at most once, closest first overall.
+    """Pair modes of two models, each at most once: as many as the limits allow, then the closest.
 
     Parameters
     ----------
@@ -250,6 +250,7 @@ def match_modes(
     """
     if first.n_modes == 0 or second.n_modes == 0:
         return np.zeros((0, 2), dtype=np.int64)
+    check_positive("frequency_limit", frequency_limit)
     f, g = first.frequencies_hz[:, None], second.frequencies_hz[None, :]
     apart = np.abs(f - g) / np.maximum(f, g)
     alike = mac(first.shapes, second.shapes)

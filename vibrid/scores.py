@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from itertools import pairwise
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 import scipy.linalg as sla
@@ -21,6 +21,8 @@ START_PER_ORDER = 3
 def fit_percent(measured: Floats, modelled: Floats) -> Floats:
     """Return 100 (1 − ‖y − ŷ‖ / ‖y − ȳ‖) of each output (NRMSE fit), NaN rows left out.
 
+    NaN for an output that does not move in the rows that are left.
+
     Parameters
     ----------
     measured, modelled : array (n_samples, n_outputs)
@@ -36,13 +38,13 @@ def fit_percent(measured: Floats, modelled: Floats) -> Floats:
     """
     y, estimate = _complete_rows(measured, modelled)
     error = np.linalg.norm(y - estimate, axis=0)
-    return np.asarray(100 * (1 - error / np.linalg.norm(y - y.mean(axis=0), axis=0)))
+    return 100 * (1 - _ratio(error, np.linalg.norm(y - y.mean(axis=0), axis=0)))
 
 
 def vaf_percent(measured: Floats, modelled: Floats) -> Floats:
     """Return 100 (1 − var(y − ŷ) / var(y)) of each output, NaN rows left out."""
     y, estimate = _complete_rows(measured, modelled)
-    return np.asarray(100 * (1 - np.var(y - estimate, axis=0) / np.var(y, axis=0)))
+    return 100 * (1 - _ratio(np.var(y - estimate, axis=0), np.var(y, axis=0)))
 
 
 def relative_error(measured: Floats, modelled: Floats) -> float:
@@ -51,7 +53,7 @@ def relative_error(measured: Floats, modelled: Floats) -> float:
     The largest column sum of |y − ŷ| over the largest column sum of |y|.
     """
     y, estimate = _complete_rows(measured, modelled)
-    return float(np.abs(y - estimate).sum(axis=0).max() / np.abs(y).sum(axis=0).max())
+    return float(_ratio(np.abs(y - estimate).sum(axis=0).max(), np.abs(y).sum(axis=0).max()))
 
 
 def start_samples(order: int) -> int:
@@ -114,6 +116,10 @@ def folds(n_samples: int, count: int = 4) -> tuple[tuple[int, int], ...]:
     return tuple((int(a), int(b)) for a, b in pairwise(edges))
 
 
+def _ratio(part: Any, whole: Any) -> Floats:
+    return np.asarray(np.divide(part, whole, out=np.full(np.shape(whole), np.nan), where=whole > 0))
+
+
 def _complete_rows(measured: Floats, modelled: Floats) -> tuple[Floats, Floats]:
     y, estimate = np.asarray(measured, float), np.asarray(modelled, float)
     if y.shape != estimate.shape:
@@ -149,5 +155,5 @@ def whitener(covariance: Floats | None, outputs: Floats) -> Floats:
 def _inverse_root(prior: Floats) -> Floats:
     """Return W with WᵀW = prior⁻¹; directions that never move are held at zero."""
     values, vectors = np.linalg.eigh(prior)
-    kept = np.maximum(values, 1e-12 * values.max())
+    kept = np.maximum(values, 1e-12 * values.max()) + np.finfo(float).tiny
     return np.asarray((vectors / np.sqrt(kept)).T)

@@ -62,16 +62,23 @@ def factorize(gram: BlockGram, stream: Stream, rows: NDArray[np.int64]) -> Facto
 
 
 def scaled_cholesky(gram: Floats) -> tuple[Floats | None, float]:
-    """Return the upper Cholesky factor, or None where it cannot be trusted, and the pivot."""
+    """Return the upper Cholesky factor, or None where it cannot be trusted, and the pivot.
+
+    A column of zeros is left out of the test and has a zero row and column in the factor.
+    """
     size = np.sqrt(np.diag(gram))
-    if not (size > 0).all():
-        return None, np.nan
+    used = np.flatnonzero(size > 0)
+    unit = gram[np.ix_(used, used)] / size[used] / size[used, None]
     try:
-        upper = sla.cholesky(gram / size / size[:, None], overwrite_a=True, check_finite=False)
+        upper = sla.cholesky(unit, overwrite_a=True, check_finite=False)
     except sla.LinAlgError:
         return None, np.nan
     pivot = float(np.diag(upper).min() ** 2) if len(upper) else 1.0
-    return (upper * size if pivot > PIVOT_LIMIT else None), pivot
+    if pivot <= PIVOT_LIMIT:
+        return None, pivot
+    triangle = np.zeros_like(gram)
+    triangle[np.ix_(used, used)] = upper * size[used]
+    return triangle, pivot
 
 
 def stacked_qr(blocks: Iterator[Floats], n_columns: int) -> Floats:

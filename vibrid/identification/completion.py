@@ -56,6 +56,7 @@ def complete(fit: Fit, stream: Stream, completion: str = "auto") -> Fit:
     simulated = _equations(stream, scaled, pieces, np.zeros_like(scaled.K))
     if simulated is None:
         return _uncompleted(fit)
+    simulated = _reweighted(simulated)
     predicted = _equations(stream, scaled, pieces, scaled.K) if scaled.K.any() else None
     form, why = _choose(completion, scaled, simulated, predicted, pieces)
     equations = simulated if form == "simulation" or predicted is None else predicted
@@ -68,6 +69,7 @@ def complete(fit: Fit, stream: Stream, completion: str = "auto") -> Fit:
     figures = {
         "completion": form,
         "completion_reason": why,
+        "output_weights": equations.weight / stream.output_scale,
         "simulation_error": _simulation_error(scaled, equations, simulated, unknowns),
     }
     return _finished(fit, stream, scaled, equations, unknowns, gain, innovation, figures)
@@ -104,10 +106,23 @@ def _equations(
     basis = modal_basis(A)
     if basis is None:
         return None
-    covariance = scaled.innovation if gain.any() else np.diag(np.diag(scaled.innovation))
     mask = np.asarray(scaled.D.any(axis=1))
-    unit = np.ones((1, len(scaled.C)))  # scaled outputs have a standard deviation near 1
-    return set_up(stream, pieces, A, scaled.C, basis, gain, whitener(covariance, unit), mask)
+    return set_up(stream, pieces, A, scaled.C, basis, gain, _weight(scaled.innovation), mask)
+
+
+def _weight(covariance: Floats) -> Floats:
+    # scaled outputs have a standard deviation near 1
+    return whitener(covariance, np.ones((1, len(covariance))))
+
+
+def _reweighted(simulated: Equations) -> Equations:
+    """Return the equations with outputs weighted by the errors of a first solution.
+
+    Simulation errors are not innovations: they hold what process noise adds up to.
+    """
+    even = replace(simulated, weight=np.eye(len(simulated.weight)))
+    errors = np.diag(even.covariance(even.solve()))
+    return replace(simulated, weight=_weight(np.diag(errors)))
 
 
 def _choose(

@@ -1,0 +1,296 @@
+"""identify(): automatic choices, completion, stability, real records."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import vibrid as vb
+from vibrid.chunks import open_stream
+from vibrid.excitation import white_noise
+from vibrid.identification import (
+    assess,
+    assess_unseen,
+    complete,
+    scan_orders,
+    steady_modes,
+)
+from vibrid.identification.modal_basis import modal_basis
+from vibrid.samples import timber_building
+from vibrid.scores import fit_percent, relative_error
+from vibrid.structures import Structure, shear_frame
+
+DT = 0.02
+
+
+def shaker_test(
+    rng: np.random.Generator, *, n_samples: int = 6000, noise: float = 0.02
+) -> tuple[Structure, vb.Record]:
+    """Return a four-storey frame of 1 % damping, shaken at the first floor."""
+    frame = shear_frame(4, 100.0, 2e5, damping_ratio=0.01)
+    force = white_noise(n_samples, rng=rng, std=100.0)
+    return frame, frame.simulate(force, DT, forces=["f1"], noise=noise, rng=rng)
+
+
+# -- automatic choices
+
+
+def test_automatic_order_finds_the_structure(rng: np.random.Generator) -> None:
+    """Noisy shaker data of four modes give order 8, with reasons, and its modes."""
+    frame, record = shaker_test(rng)
+    fit = vb.identify(record)
+    assert fit.order == 8
+    modes = vb.modes_of(fit)
+    np.testing.assert_allclose(modes.frequencies_hz, frame.frequencies_hz, rtol=2e-3)
+    np.testing.assert_allclose(modes.damping_ratios, frame.damping_ratios, rtol=0.1)
+    horizon, order = fit.diagnostics.figures["choices"]
+    assert f"block_rows={fit.method.block_rows}" in horizon
+    assert "order=8 has the lowest information criterion" in order
+    assert (fit.diagnostics.figures["persistence"] > 0.8).all()
+
+
+def test_automatic_order_of_noise_free_data_is_exact(rng: np.random.Generator) -> None:
+    """Without noise the criterion stops at the true order."""
+    _, record = shaker_test(rng, noise=0.0)
+    assert vb.identify(record).order == 8
+
+
+def test_automatic_choice_of_ambient_data_holds_the_modes(rng: np.random.Generator) -> None:
+    """Outputs alone: the chosen order holds all four modes and names them steady."""
+    frame = shear_frame(4, 100.0, 2e5, damping_ratio=0.01)
+    force = white_noise(20_000, 4, rng=rng, std=100.0)
+    record = frame.simulate(force, DT, forces=frame.dofs, noise=0.05, rng=rng)
+    fit = vb.identify(record.select(inputs=[]))
+    modes = vb.modes_of(fit)
+    steady = modes.select(np.flatnonzero(fit.diagnostics.figures["persistence"] > 0.8))
+    nearest = np.abs(steady.frequencies_hz[:, None] - frame.frequencies_hz).min(axis=0)
+    assert (nearest / frame.frequencies_hz < 5e-3).all()
+    assert fit.order < 20
+
+
+def test_scan_knows_which_modes_are_steady(rng: np.random.Generator) -> None:
+    """Four modes persist over the orders and spurious ones do not."""
+    frame, record = shaker_test(rng)
+    method = vb.N4SID(block_rows=20)
+    steady, share = steady_modes(scan_orders(method, method.decompose(record)))
+    np.testing.assert_allclose(steady.frequencies_hz, frame.frequencies_hz, rtol=5e-3)
+    assert (share > 0.5).all()
+
+
+def test_short_records_get_a_short_horizon(rng: np.random.Generator) -> None:
+    """A record too short for the usual horizons is identified with the longest it allows."""
+    _, record = shaker_test(rng, n_samples=90, noise=0.001)
+    fit = vb.identify(record, order=8)
+    assert fit.method.block_rows == 7
+    assert "longest that the record allows" in fit.diagnostics.figures["choices"][0]
+
+
+# -- completion
+
+
+@pytest.mark.parametrize("form", ["simulation", "prediction"])
+def test_fast_least_squares_equals_the_explicit_one(form: str, rng: np.random.Generator) -> None:
+    """B, D, offset and x0 equal a plain least squares on one simulated column an unknown."""
+    _, record = shaker_test(rng, n_samples=400)
+    method = vb.N4SID(block_rows=12, completion=form)
+    fit = vb.identify(record, method, order=4)
+    A, C, K = fit.model.A, fit.model.C, fit.kalman_gain
+    K = K if form == "prediction" else np.zeros_like(K)
+    u, y = record.inputs - fit.input_offset, record.outputs
+    n, p = 4, 4
+    target, columns = np.empty((400, p)), []
+    state = np.zeros(n)
+    for t in range(400):
+        target[t] = y[t] - C @ state
+        state = (A - K @ C) @ state + K @ y[t]
+    for j in range(n):  # B - K D
+        columns.append(_free(A - K @ C, np.eye(n)[j], C, u[:, 0]))
+    columns += [np.outer(u[:, 0], np.eye(p)[k]) for k in range(p)]
+    columns += [np.tile(np.eye(p)[k], (400, 1)) for k in range(p)]
+    columns += [_decay(A - K @ C, np.eye(n)[j], C, 400) for j in range(n)]
+    weight = fit.diagnostics.figures["output_weights"]
+    left = np.stack([(column @ weight.T).ravel() for column in columns], axis=1)
+    answer = np.linalg.lstsq(left, (target @ weight.T).ravel(), rcond=None)[0]
+    D = answer[n : n + p]
+    np.testing.assert_allclose(fit.model.D[:, 0], D, rtol=1e-6, atol=1e-9 * abs(D).max())
+    B = answer[:n] + K @ D
+    np.testing.assert_allclose(fit.model.B[:, 0], B, rtol=1e-5, atol=1e-8 * abs(B).max())
+
+
+def _free(A: Any, b: Any, C: Any, u: Any) -> Any:
+    state, rows = np.zeros(len(A)), np.empty((len(u), len(C)))
+    for t, value in enumerate(u):
+        rows[t] = C @ state
+        state = A @ state + b * value
+    return rows
+
+
+def _decay(A: Any, start: Any, C: Any, count: int) -> Any:
+    rows = np.empty((count, len(C)))
+    for t in range(count):
+        rows[t] = C @ start
+        start = A @ start
+    return rows
+
+
+def test_unseen_halves_choose_the_form(rng: np.random.Generator) -> None:
+    """With sensor noise only, completion by simulation wins, and says by how much."""
+    _, record = shaker_test(rng, noise=0.1)
+    fit = vb.identify(record, order=8)
+    assert fit.diagnostics.figures["completion"] == "simulation"
+    assert "unseen halves" in fit.diagnostics.figures["completion_reason"]
+
+
+def test_regression_completion_keeps_b_and_d(rng: np.random.Generator) -> None:
+    """completion="regression" only adds initial states."""
+    _, record = shaker_test(rng)
+    method = vb.N4SID(block_rows=20, transition="regression", completion="regression")
+    stream = open_stream(record)
+    plain = method.realize(method.decompose(stream), 8)
+    done = complete(plain, stream, "regression")
+    np.testing.assert_allclose(done.model.B, plain.model.B, rtol=1e-12)
+    np.testing.assert_allclose(done.model.D, plain.model.D, rtol=1e-12)
+    assert np.isnan(plain.initial_states).all()
+    assert np.isfinite(done.initial_states).all()
+
+
+def test_modal_basis_says_when_poles_coincide() -> None:
+    """A defective matrix has no modal basis; a diagonalizable one comes back exactly."""
+    assert modal_basis(np.array([[0.5, 1.0], [0.0, 0.5]])) is None
+    A = np.array([[0.9, 0.3, 0.0], [-0.3, 0.9, 0.1], [0.0, 0.0, -0.4]])
+    basis = modal_basis(A)
+    assert basis is not None
+    V = basis.vectors
+    np.testing.assert_allclose(V @ basis.blocks @ np.linalg.inv(V), A, atol=1e-14)
+
+
+# -- stability
+
+
+def test_unstable_models_are_never_silent(shared_data: Path) -> None:
+    """The robot arm at order 8 without shift: raise names the pole and what to try."""
+    z = np.loadtxt(shared_data / "robot_arm.dat")
+    record = vb.Record(z[:, 1:], z[:, :1], dt=1.0)
+    method = vb.N4SID(weighting="moesp", block_rows=20, transition="shift")
+    unstable = [k for k in range(2, 13) if not _stable(method, record, k)]
+    assert unstable
+    for order in unstable:
+        with pytest.raises(vb.UnstableModelError, match=r"magnitude 1\.\d+ at .* Hz.*project"):
+            vb.identify(record, method, order=order)
+        projected = vb.identify(record, method, order=order, stability="project")
+        assert projected.model.is_stable
+        assert "projected" in [finding.code for finding in projected.diagnostics.findings]
+        left = vb.identify(record, method, order=order, stability="ignore")
+        assert not left.model.is_stable
+        assert "unstable" in [finding.code for finding in left.diagnostics.findings]
+
+
+def _stable(method: Any, record: vb.Record, order: int) -> bool:
+    return method.realize(method.decompose(record), order).model.is_stable
+
+
+def test_automatic_order_is_stable(shared_data: Path) -> None:
+    """Where many orders are unstable, the automatic choice is not one of them."""
+    z = np.loadtxt(shared_data / "robot_arm.dat")
+    fit = vb.identify(vb.Record(z[:, 1:], z[:, :1], dt=1.0))
+    assert fit.model.is_stable
+
+
+# -- refusals
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"method": "n4sid"}, r"method must be one of N4SID\(\)"),
+        ({"order": "best"}, "order must be one of auto"),
+        ({"stability": "projekt"}, "Did you mean 'project'"),
+        ({"offset": "zero"}, "offset must be one of"),
+        ({"feedthrough": [1, 0, 1, 1]}, "feedthrough must be True, False"),
+    ],
+)
+def test_wrong_options_are_refused(
+    options: dict[str, Any], message: str, rng: np.random.Generator
+) -> None:
+    """Wrong use raises OptionError with the choices."""
+    _, record = shaker_test(rng, n_samples=500)
+    with pytest.raises(vb.OptionError, match=message):
+        vb.identify(record, **options)
+
+
+def test_other_data_are_refused() -> None:
+    """Responses and plain arrays are not records."""
+    responses = vb.ImpulseResponses(np.ones((5, 1, 1)), dt=0.1)
+    with pytest.raises(vb.OptionError, match="Expected a Record or several; got ImpulseResponses"):
+        vb.identify(responses)  # type: ignore[arg-type]
+    with pytest.raises(vb.OptionError, match="No record was given"):
+        vb.identify([])
+
+
+# -- real records
+
+
+def test_timber_building_has_its_published_modes() -> None:
+    """The embedded ambient record gives 1.882, 2.421 and 2.689 Hz within 1 %."""
+    fit = vb.identify(timber_building().to_band(0.5, 10.0))
+    found = vb.modes_of(fit)
+    steady = found.select(np.flatnonzero(fit.diagnostics.figures["persistence"] >= 0.5))
+    for published in (1.882, 2.421, 2.689):
+        assert np.abs(steady.frequencies_hz / published - 1).min() < 0.01
+
+
+@pytest.mark.parametrize(
+    ("name", "inputs", "rows", "order", "weighting", "published"),
+    [
+        ("dryer", 1, 15, 4, "moesp", 0.015),
+        ("robot_arm", 1, 20, 4, "moesp", 0.0360),
+        ("flutter", 1, 20, 6, "moesp", 0.237),
+        ("evaporator", 3, 10, 4, "moesp", 0.489),
+    ],
+)
+def test_daisy_errors_are_the_published_ones(
+    shared_data: Path,
+    name: str,
+    inputs: int,
+    rows: int,
+    order: int,
+    weighting: str,
+    published: float,
+) -> None:
+    """Relative output error of the simulation, raw data (Sima, SLICOT Note 2000-4)."""
+    z = np.loadtxt(shared_data / f"{name}.dat")
+    record = vb.Record(z[:, inputs : 2 * inputs], z[:, :inputs], dt=1.0)
+    method = vb.N4SID(
+        weighting=weighting, block_rows=rows, transition="shift", completion="simulation"
+    )
+    fit = vb.identify(record, method, order=order, offset="none")
+    simulated = fit.simulate(record.inputs, fit.initial_states[0])
+    assert relative_error(record.outputs, simulated) < 1.005 * published
+
+
+def test_assessments_say_what_they_are(rng: np.random.Generator) -> None:
+    """Seen and unseen scores carry kind, rule and stretch; the unseen one is honest."""
+    _, record = shaker_test(rng)
+    fit = vb.identify(record, order=8)
+    seen, unseen = assess(fit, record), assess_unseen(record, fit)
+    assert unseen is not None
+    assert (seen.kind, unseen.kind) == ("simulation", "simulation")
+    assert "MAP from the first 24 samples" in seen.rule
+    assert "carried over" in unseen.rule
+    assert (unseen.start, unseen.stop) == (90.0, 120.0)
+    assert (unseen.seen, seen.seen) == (False, True)
+    for each in (seen, unseen):
+        np.testing.assert_allclose(each.fit_percent, 98, atol=0.5)  # 2 % noise
+        np.testing.assert_allclose(each.vaf_percent, 99.96, atol=0.03)
+
+
+def test_fit_on_unseen_data_needs_no_luck(rng: np.random.Generator) -> None:
+    """A model of the first part simulates the second from MAP as well as from its truth."""
+    _, record = shaker_test(rng)
+    fit = vb.identify(record.slice(0, 4000), order=8)
+    rest = record.slice(4000)
+    modelled = fit.simulate_record(rest)
+    assert (fit_percent(rest.outputs[24:], modelled[24:]) > 97).all()

@@ -1,0 +1,112 @@
+"""Small linear algebra against matrices whose answers are known."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from threadpoolctl import threadpool_info
+
+from vibrid import linalg
+from vibrid.linalg import divide_by_lower, leading_svd, left_whitener, one_blas_thread, solve_upper
+from vibrid.record import Floats
+
+
+def orthonormal(rng: np.random.Generator, rows: int, columns: int) -> Floats:
+    """Return orthonormal columns."""
+    return np.asarray(np.linalg.qr(rng.standard_normal((rows, columns)))[0])
+
+
+def test_full_svd(rng: np.random.Generator) -> None:
+    """Below the limit all singular values come back, with the leading vectors."""
+    matrix = rng.standard_normal((30, 20))
+    left, values, right = leading_svd(matrix, 20)
+    np.testing.assert_allclose(left * values @ right, matrix, atol=1e-13)
+    left, values, right = leading_svd(matrix, 3)
+    assert (left.shape, values.shape, right.shape) == ((30, 3), (20,), (3, 20))
+
+
+def test_randomized_svd_of_a_large_matrix(rng: np.random.Generator) -> None:
+    """Above 1500 rows the leading triplets equal the known ones to rounding."""
+    size, rank = linalg.FULL_SVD_LIMIT + 20, 6
+    known = np.concatenate([[10.0, 7.0, 5.0, 3.0, 2.0, 1.0], np.geomspace(1e-3, 1e-9, 40)])
+    U, V = orthonormal(rng, size, len(known)), orthonormal(rng, size + 3, len(known))
+    left, values, right = leading_svd(U * known @ V.T, rank)
+    assert values.shape == (rank,)  # no tail: the randomized path was taken
+    np.testing.assert_allclose(values, known[:rank], rtol=1e-12)
+    np.testing.assert_allclose(left * values @ right, U[:, :6] * known[:6] @ V[:, :6].T, atol=1e-10)
+
+
+def test_randomized_and_full_agree(
+    rng: np.random.Generator, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """On noisy data with a gap, both paths span the same space to 1e-6."""
+    signal = orthonormal(rng, 300, 4) * [9.0, 8, 7, 6] @ orthonormal(rng, 200, 4).T
+    matrix = signal + 1e-3 * rng.standard_normal((300, 200))
+    left, values, _ = leading_svd(matrix, 4)
+    monkeypatch.setattr(linalg, "FULL_SVD_LIMIT", 10)
+    quick, quick_values, _ = leading_svd(matrix, 4)
+    np.testing.assert_allclose(quick_values, values[:4], rtol=1e-10)
+    np.testing.assert_allclose(np.abs(quick.T @ left), np.eye(4), atol=1e-6)
+
+
+def test_divide_by_a_regular_lower_matrix(rng: np.random.Generator) -> None:
+    """matrix · lower⁻¹, of full rank."""
+    lower = np.tril(rng.standard_normal((6, 6))) + 5 * np.eye(6)
+    solution = rng.standard_normal((4, 6))
+    quotient, rank = divide_by_lower(solution @ lower, lower)
+    assert rank == 6
+    np.testing.assert_allclose(quotient, solution, atol=1e-13)
+
+
+def test_divide_by_a_singular_lower_matrix(rng: np.random.Generator) -> None:
+    """The pseudo-inverse serves where the factor has lost rank, and the rank is told."""
+    tall = rng.standard_normal((6, 4))
+    lower = np.linalg.qr((tall @ tall.T).T, mode="r").T
+    matrix = rng.standard_normal((5, 6)) @ lower
+    quotient, rank = divide_by_lower(matrix, lower)
+    assert rank == 4
+    np.testing.assert_allclose(quotient, matrix @ np.linalg.pinv(lower, rcond=1e-12), atol=1e-10)
+    np.testing.assert_allclose(quotient @ lower, matrix, atol=1e-11)
+
+
+def test_divide_by_nothing() -> None:
+    """A zero matrix has rank 0 and gives zeros; so does an empty one."""
+    quotient, rank = divide_by_lower(np.ones((2, 3)), np.zeros((3, 3)))
+    assert rank == 0
+    np.testing.assert_array_equal(quotient, np.zeros((2, 3)))
+    assert divide_by_lower(np.ones((2, 0)), np.zeros((0, 0)))[0].shape == (2, 0)
+
+
+def test_solve_upper(rng: np.random.Generator) -> None:
+    """Exact where regular; least squares of minimum norm where singular; empty where empty."""
+    upper = np.triu(rng.standard_normal((5, 5))) + 4 * np.eye(5)
+    x = rng.standard_normal((5, 2))
+    np.testing.assert_allclose(solve_upper(upper, upper @ x), x, atol=1e-13)
+    upper[3:, 3:] = [[0.0, 1.0], [0.0, 0.0]]
+    right = rng.standard_normal((5, 2))
+    shortest = np.linalg.pinv(upper) @ right
+    np.testing.assert_allclose(solve_upper(upper, right), shortest, atol=1e-12)
+    assert solve_upper(np.zeros((0, 0)), np.zeros((0, 2))).shape == (0, 2)
+
+
+def test_left_whitener(rng: np.random.Generator) -> None:
+    """T Tᵀ is the matrix's square, T⁺ its left inverse, and the null space is dropped."""
+    matrix = rng.standard_normal((6, 3)) @ rng.standard_normal((3, 50))
+    root, inverse = left_whitener(matrix)
+    assert root.shape == (6, 3)
+    np.testing.assert_allclose(root @ root.T, matrix @ matrix.T, atol=1e-12 * 1e3)
+    np.testing.assert_allclose(inverse @ root, np.eye(3), atol=1e-12)
+    np.testing.assert_allclose(np.linalg.svd(inverse @ matrix, compute_uv=False), 1, atol=1e-12)
+
+
+def test_one_blas_thread_is_limited_and_given_back() -> None:
+    """Inside, every BLAS runs on one thread; outside as before, also after an error."""
+
+    def threads() -> list[int]:
+        return [each["num_threads"] for each in threadpool_info() if each["user_api"] == "blas"]
+
+    before = threads()
+    with pytest.raises(RuntimeError, match="stop"), one_blas_thread():
+        assert set(threads()) == {1}
+        raise RuntimeError("stop")
+    assert threads() == before

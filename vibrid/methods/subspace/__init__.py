@@ -1,0 +1,22 @@
+"""The kernel that N4SID and SSI share: from the factor of a Gram to models of every order.
+
+Symbols (Van Overschee & De Moor 1996; Pappalardo et al. 2022, section 3.2): U_f, Y_f future
+inputs and outputs, W_p past samples, R upper triangle of the Hankel rows [U_f; W_p; Y_f],
+Γ observability matrix, J state map with x(t) = J W_p(t), T triangle of the state regression.
+"""
+
+from .layout import Layout
+from .models import Realization, Subspace
+from .result import as_fit
+from .states import kept_svd, oblique_states, output_unit, projected_states
+
+__all__ = [
+    "Layout",
+    "Realization",
+    "Subspace",
+    "as_fit",
+    "kept_svd",
+    "oblique_states",
+    "output_unit",
+    "projected_states",
+]

@@ -7,14 +7,12 @@ samples and scaled: its cost per sample does not depend on their number.
 from __future__ import annotations
 
 import argparse
-import time
-from collections.abc import Callable
-from typing import Any
 
 import numpy as np
 import scipy.signal
 from threadpoolctl import threadpool_limits
 
+from benchmarks.timing import seconds
 from vibrid.statespace import StateSpace
 from vibrid.structures import chain
 
@@ -28,16 +26,6 @@ def model_of(n_dof: int, n_inputs: int, n_outputs: int) -> StateSpace:
     structure = chain(np.ones(n_dof), np.full(n_dof, stiffness), damping_ratio=0.01)
     sensors = [("acceleration", structure.dofs[k % n_dof]) for k in range(n_outputs)]
     return structure.state_space(sensors, structure.dofs[:n_inputs]).to_discrete(0.01)
-
-
-def seconds(work: Callable[[], Any], repeats: int) -> float:
-    """Return the shortest of `repeats` runs."""
-    best = np.inf
-    for _ in range(repeats):
-        start = time.perf_counter()
-        work()
-        best = min(best, time.perf_counter() - start)
-    return best
 
 
 def compare(model: StateSpace, n_samples: int, peer_samples: int) -> str:

@@ -87,7 +87,7 @@ def test_a_channel_without_samples_is_refused(rng: np.random.Generator) -> None:
     with pytest.raises(DataError, match="No sample has all 2 channels"):
         open_stream(Record(y, dt=1))
     y[3, 0] = np.inf
-    with pytest.raises(DataError, match="Sample 3 .* infinite"):
+    with pytest.raises(DataError, match=r"Sample 3 .* infinite"):
         open_stream(Record(y, dt=1))
 
 
@@ -97,14 +97,14 @@ def test_records_must_belong_together(rng: np.random.Generator) -> None:
     assert len(as_records([record, record.slice(10)])) == 2
     with pytest.raises(DataError, match="different channels"):
         as_records([record, record.select(["y2", "y1"])])
-    with pytest.raises(DataError, match="intervals, 0.01 s and 0.02 s; decimate"):
+    with pytest.raises(DataError, match=r"intervals, 0.01 s and 0.02 s; decimate"):
         as_records([record, record.decimate(2)])
 
 
 @pytest.mark.parametrize("data", [None, 3, "run.csv", [], np.ones((5, 2)), [np.ones(5)]])
 def test_what_is_no_record_is_refused(data: Any) -> None:
     """Arrays, names, nothing and None are told from records."""
-    with pytest.raises(OptionError, match="Record|record"):
+    with pytest.raises(OptionError, match=r"Record|record"):
         as_records(data)
 
 

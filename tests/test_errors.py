@@ -39,7 +39,12 @@ def test_the_tree() -> None:
 
 @pytest.mark.parametrize(
     ("value", "hint"),
-    [("n4sdi", "Did you mean 'n4sid'"), ("moe", "Did you mean 'moesp'"), (3, "got 3"), (None, "No")],
+    [
+        ("n4sdi", "Did you mean 'n4sid'"),
+        ("moe", "Did you mean 'moesp'"),
+        (3, "got 3"),
+        (None, "No"),
+    ],
 )
 def test_a_choice_names_the_choices(value: Any, hint: str) -> None:
     """An unknown choice lists what there is and suggests the nearest."""
@@ -97,7 +102,7 @@ def test_whole_numbers_have_limits() -> None:
 def test_readable_paths(tmp_path: Path) -> None:
     """Folders and missing files are told apart; a file comes back as Path."""
     file = tmp_path / "run.csv"
-    with pytest.raises(PathError, match="There is no file .*run.csv"):
+    with pytest.raises(PathError, match=r"There is no file .*run.csv"):
         check_readable(file)
     with pytest.raises(PathError, match="is a folder"):
         check_readable(tmp_path)
@@ -110,7 +115,7 @@ def test_writable_paths(tmp_path: Path) -> None:
     file = tmp_path / "fit.h5"
     assert check_writable(str(file)) == file
     assert not file.exists()
-    with pytest.raises(PathError, match="There is no folder .*missing; make it first"):
+    with pytest.raises(PathError, match=r"There is no folder .*missing; make it first"):
         check_writable(tmp_path / "missing" / "fit.h5")
     with pytest.raises(PathError, match="is a folder"):
         check_writable(tmp_path)

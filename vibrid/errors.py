@@ -22,7 +22,6 @@ from pathlib import Path
 
 import numpy as np
 
-
 ALIKE = 0.5  # of difflib's ratio: "accel" is meant for "acceleration"
 
 

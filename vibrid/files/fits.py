@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 import json
 import os
@@ -55,9 +56,11 @@ def save(fit: Fit, path: str | os.PathLike[str]) -> Path:
             _write(file, fit)
         partial.replace(target)
     except OSError as problem:
-        raise PathError(f"{target} cannot be written: {problem}.") from None
+        reason = os.strerror(problem.errno) if problem.errno else problem
+        raise PathError(f"{target} cannot be written: {reason}.") from None
     finally:
-        partial.unlink(missing_ok=True)
+        with contextlib.suppress(OSError):
+            partial.unlink()
     return target
 
 
@@ -84,7 +87,7 @@ def load(path: str | os.PathLike[str]) -> Fit:
                     f"{VERSION}. Install a newer one."
                 )
             return _read(file)
-    except (OSError, KeyError, TypeError, ValueError, RuntimeError) as problem:
+    except (OSError, LookupError, TypeError, ValueError, AttributeError, RuntimeError) as problem:
         if isinstance(problem, FileError):
             raise
         raise FileError(f"{source} is not a complete saved fit: {problem}.") from None

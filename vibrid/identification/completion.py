@@ -53,26 +53,32 @@ def complete(fit: Fit, stream: Stream, completion: str = "auto") -> Fit:
     """
     scaled = _scaled(fit, stream)
     pieces = _pieces(stream, len(scaled.A))
-    simulated = _equations(stream, scaled, pieces, np.zeros_like(scaled.K))
-    if simulated is None:
+    forms = _forms(stream, scaled, pieces)
+    if not forms:
         return _uncompleted(fit)
-    simulated = _reweighted(simulated)
-    predicted = _equations(stream, scaled, pieces, scaled.K) if scaled.K.any() else None
-    form, why = _choose(completion, scaled, simulated, predicted, pieces)
-    equations = simulated if form == "simulation" or predicted is None else predicted
-    gain = np.zeros_like(scaled.K) if equations is simulated else scaled.K
+    form, why = _choose(completion, scaled, forms, pieces)
+    equations = forms[form]
     keep = completion == "regression"
     unknowns = _fixed(equations, scaled) if keep else equations.solve()
-    innovation = equations.covariance(unknowns)
-    if predicted is not None and equations is simulated:
-        innovation = _innovation(scaled, simulated, predicted, unknowns)
-    figures = {
-        "completion": form,
-        "completion_reason": why,
-        "output_weights": equations.weight / stream.output_scale,
-        "simulation_error": _simulation_error(scaled, equations, simulated, unknowns),
-    }
-    return _finished(fit, stream, scaled, equations, unknowns, gain, innovation, figures)
+    return _finished(fit, stream, scaled, forms, form, unknowns, {"completion_reason": why})
+
+
+def _forms(stream: Stream, scaled: _Scaled, pieces: Sequence[Piece]) -> dict[str, Equations]:
+    """Return the equations of simulation and of prediction, as far as they say something.
+
+    Without inputs a simulation is a free decay, which noise-driven data are not.
+    """
+    forms = {}
+    if stream.n_inputs or not scaled.K.any():
+        simulated = _equations(stream, scaled, pieces, np.zeros_like(scaled.K))
+        if simulated is None:
+            return {}
+        forms["simulation"] = _reweighted(simulated)
+    if scaled.K.any():
+        predicted = _equations(stream, scaled, pieces, scaled.K)
+        if predicted is not None:
+            forms["prediction"] = predicted
+    return forms
 
 
 def _scaled(fit: Fit, stream: Stream) -> _Scaled:
@@ -126,25 +132,21 @@ def _reweighted(simulated: Equations) -> Equations:
 
 
 def _choose(
-    completion: str,
-    scaled: _Scaled,
-    simulated: Equations,
-    predicted: Equations | None,
-    pieces: Sequence[Piece],
+    completion: str, scaled: _Scaled, forms: dict[str, Equations], pieces: Sequence[Piece]
 ) -> tuple[str, str]:
     """Return "simulation" or "prediction", and why."""
-    if predicted is None:
-        return "simulation", "there is no Kalman gain to predict with"
-    if completion in ("simulation", "prediction"):
+    if len(forms) == 1:
+        form = next(iter(forms))
+        return form, "it is the only form that these data and the Kalman gain allow"
+    if completion in forms:
         return completion, "as asked for"
-    if completion == "regression" or scaled.B.shape[1] == 0:
-        return "prediction", "there are no B and D to find, only initial states"
+    if completion == "regression":
+        return "prediction", "only the initial states were left to find"
     if len({piece.owner for piece in pieces}) == len(pieces):
         return "simulation", "the record is too short to compare with prediction on unseen data"
-    errors = _unseen_errors(scaled, simulated, predicted, pieces)
+    errors = _unseen_errors(scaled, forms["simulation"], forms["prediction"], pieces)
     best = min(errors, key=lambda name: errors[name])
-    other = max(errors, key=lambda name: errors[name])
-    ratio = errors[best] / errors[other]
+    ratio = errors[best] / max(errors.values())
     return best, f"unseen halves simulate with {100 * ratio:.1f} % of the error of the other form"
 
 
@@ -208,45 +210,52 @@ def _fixed(equations: Equations, scaled: _Scaled) -> Unknowns:
     return equations.with_states(shared)
 
 
-def _simulation_error(
-    scaled: _Scaled, equations: Equations, simulated: Equations, unknowns: Unknowns
-) -> float:
-    """Return the rms error of the simulated outputs over their standard deviation."""
-    if equations is not simulated:
-        shared = _translated(scaled, equations, simulated, unknowns.shared)
-        unknowns = simulated.with_states(shared)
-    return float(np.sqrt(np.trace(simulated.covariance(unknowns)) / len(scaled.C)))
-
-
-def _innovation(
-    scaled: _Scaled, simulated: Equations, predicted: Equations, unknowns: Unknowns
-) -> Floats:
-    """Return the prediction errors' covariance of a model completed by simulation."""
-    shared = _translated(scaled, simulated, predicted, unknowns.shared)
-    return predicted.covariance(predicted.with_states(shared))
+def _error_covariance(
+    scaled: _Scaled, forms: dict[str, Equations], form: str, unknowns: Unknowns, wanted: str
+) -> Floats | None:
+    """Return the covariance of the simulation or prediction errors of a solution."""
+    if wanted not in forms:
+        return None
+    target = forms[wanted]
+    if wanted != form:
+        shared = _translated(scaled, forms[form], target, unknowns.shared)
+        unknowns = target.with_states(shared)
+    return target.covariance(unknowns)
 
 
 def _finished(
     fit: Fit,
     stream: Stream,
     scaled: _Scaled,
-    equations: Equations,
+    forms: dict[str, Equations],
+    form: str,
     unknowns: Unknowns,
-    gain: Floats,
-    innovation: Floats,
     figures: dict[str, Any],
 ) -> Fit:
     u, y = stream.input_scale, stream.output_scale
+    equations = forms[form]
     offset, D, B = _physical(scaled, equations, unknowns.shared)
     # the filter started at rest on data that still held the offset
-    held = _steady(scaled.A - gain @ scaled.C, gain @ offset)
-    states = unknowns.states @ equations.basis.vectors.T - held
+    K = _gain_of(scaled, equations)
+    held = _steady(scaled.A - K @ scaled.C, K @ offset)
+    simulation = _error_covariance(scaled, forms, form, unknowns, "simulation")
+    prediction = _error_covariance(scaled, forms, form, unknowns, "prediction")
+    innovation = prediction if prediction is not None else equations.covariance(unknowns)
+    figures = {
+        "completion": form,
+        **figures,
+        "output_weights": equations.weight / y,
+        # rms over outputs of the simulation error over the standard deviation
+        "simulation_error": (
+            np.nan if simulation is None else float(np.sqrt(np.trace(simulation) / len(y)))
+        ),
+    }
     model = fit.model
     return replace(
         fit,
         model=StateSpace(model.A, B / u, model.C, y[:, None] * D / u, model.dt),
         innovation_covariance=innovation * np.outer(y, y),
-        initial_states=states,
+        initial_states=unknowns.states @ equations.basis.vectors.T - held,
         output_offset=stream.centre[stream.n_inputs :] + y * offset,
         diagnostics=fit.diagnostics.joined(figures),
     )

@@ -235,15 +235,13 @@ class Record:
     def to_band(self, low_hz: float, high_hz: float) -> Record:
         """Return the record filtered (zero phase) and decimated to a band of interest.
 
-        Decimated so that `high_hz` is at most 80 % of the new Nyquist frequency; low-passed
-        at `high_hz` where it lies below half of that; high-passed at `low_hz` unless 0.
+        Decimated so that `high_hz` lies between 40 and 80 % of the new Nyquist frequency, and
+        high-passed at `low_hz` unless that is 0. What the anti-alias filter leaves above
+        `high_hz` stays: a sharper edge would add the filter's own poles to the modes.
         """
         nyquist = 0.5 / self.dt
         processing.check_band(low_hz, high_hz, nyquist)
-        factor = max(1, int(processing.PASSED_SHARE * nyquist / high_hz))
-        record = self.decimate(factor)
-        if high_hz < 0.5 * nyquist / factor:
-            return record.bandpass(low_hz, high_hz)
+        record = self.decimate(max(1, int(processing.PASSED_SHARE * nyquist / high_hz)))
         return record.bandpass(low_hz, np.inf) if low_hz > 0 else record
 
     def decimate(self, factor: int) -> Record:

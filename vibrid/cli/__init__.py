@@ -1,0 +1,5 @@
+"""The command `vibrid`."""
+
+from .app import main
+
+__all__ = ["main"]

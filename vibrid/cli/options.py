@@ -1,0 +1,248 @@
+"""Options of the commands; those of the methods come from the methods' own fields."""
+
+from __future__ import annotations
+
+import dataclasses
+import types
+import typing
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+from cyclopts import Group, Parameter
+
+from ..chunks import OFFSETS
+from ..errors import OptionError, check_choice
+from ..files import read_record
+from ..identification.stability import POLICIES
+from ..methods import METHODS
+from ..record import QUANTITIES, FrequencyResponses, Record
+
+READING = Group("Reading the file", sort_key=1)
+IDENTIFYING = Group("Identifying", sort_key=2)
+METHOD_OPTIONS = Group("Options of the methods named in brackets", sort_key=3)
+RESULTS = Group("Results", sort_key=4)
+
+Names = tuple[str, ...]
+
+
+def _help(words: str, **more: Any) -> Parameter:
+    return Parameter(help=words, **more)
+
+
+@Parameter(name="*", group=READING)
+@dataclass(frozen=True)
+class Reading:
+    """How a file is read."""
+
+    inputs: Annotated[
+        Names | None,
+        _help("Channels that drive the structure: a,b,c or repeated; '' for none."),
+    ] = None
+    outputs: Annotated[Names | None, _help("Channels that respond; all others when left out.")] = (
+        None
+    )
+    dt: Annotated[float | None, _help("Sampling interval [s], where the file has none.")] = None
+    channels: Annotated[
+        Path | None, _help("TOML or CSV with name, quantity, unit, dof, sign, delay, role.")
+    ] = None
+    quantity: Annotated[Names, _help(f"NAME=QUANTITY, repeated: {', '.join(QUANTITIES)}.")] = ()
+    dof: Annotated[Names, _help("NAME=LABEL of the degree of freedom, repeated.")] = ()
+    unit: Annotated[Names, _help("NAME=UNIT such as m/s2, g, mm or N, repeated.")] = ()
+    variable: Annotated[
+        Names, _help("Array of a MAT, NPZ or HDF5 file, or group of a TDMS file.")
+    ] = ()
+    transpose: Annotated[bool, _help("Time runs along the last axis of the arrays.")] = False
+    correct_delays: Annotated[
+        bool, _help("Shift channels by the delays that --channels states.")
+    ] = False
+
+    def read(self, file: Path) -> Record | FrequencyResponses:
+        """Return what the file holds, delays removed if asked."""
+        content = read_record(
+            file,
+            inputs=split_names(self.inputs),
+            outputs=split_names(self.outputs),
+            dt=self.dt,
+            channels=self.channels,
+            quantities=pairs("quantity", self.quantity),
+            dofs=pairs("dof", self.dof),
+            units=pairs("unit", self.unit),
+            variable=split_names(self.variable) or None,
+            transpose=self.transpose,
+        )
+        if self.correct_delays and isinstance(content, Record):
+            return content.correct_delays()
+        return content
+
+
+@Parameter(name="*", group=IDENTIFYING)
+@dataclass(frozen=True)
+class Identifying:
+    """What is identified, and how."""
+
+    band: Annotated[
+        tuple[float, float] | None,
+        _help("LOW HIGH [Hz]: filter and decimate to the band of interest."),
+    ] = None
+    method: Annotated[
+        str | None,
+        _help(f"{' or '.join(METHODS)}; n4sid when there are inputs, ssi when there are none."),
+    ] = None
+    order: Annotated[str, _help("Number of states, or auto.")] = "auto"
+    offset: Annotated[
+        str, _help("estimate (project a constant out), mean (subtract means) or none.")
+    ] = "estimate"
+    stability: Annotated[
+        str, _help(f"What to do about an unstable model: {', '.join(POLICIES)}.")
+    ] = "raise"
+    feedthrough: Annotated[
+        bool | None,
+        _help(
+            "Whether inputs act on outputs at once (D); by quantity when left out.",
+            negative="--no-feedthrough",
+        ),
+    ] = None
+
+    def check(self) -> None:
+        """Refuse what no record could make right, before any work."""
+        check_choice("--offset", self.offset, OFFSETS)
+        check_choice("--stability", self.stability, POLICIES)
+        if self.method is not None:
+            check_choice("--method", self.method, list(METHODS))
+        self.chosen_order()
+
+    def chosen_order(self) -> int | str:
+        """Return the order as a number, or "auto"."""
+        if self.order == "auto":
+            return "auto"
+        try:
+            return int(self.order)
+        except ValueError:
+            raise OptionError(
+                f"--order must be auto or a whole number, at least 1; got {self.order!r}."
+            ) from None
+
+
+@Parameter(name="*", group=RESULTS)
+@dataclass(frozen=True)
+class Results:
+    """Where results go."""
+
+    save: Annotated[Path | None, _help("Write the model to this file (HDF5).")] = None
+    json: Annotated[bool, _help("Print one JSON object instead of tables.")] = False
+
+
+def split_names(values: Sequence[str] | None) -> list[str] | None:
+    """Return names given with commas, repeated, or both.
+
+    >>> split_names(("a,b", "c")), split_names(("",)), split_names(None)
+    (['a', 'b', 'c'], [], None)
+    """
+    if values is None:
+        return None
+    return [name.strip() for value in values for name in value.split(",") if name.strip()]
+
+
+def pairs(option: str, values: Sequence[str]) -> dict[str, str]:
+    """Return name → value of NAME=VALUE; the last = parts them.
+
+    >>> pairs("unit", ("acc1=g,acc2=g", "f=N"))
+    {'acc1': 'g', 'acc2': 'g', 'f': 'N'}
+    """
+    found = {}
+    for text in split_names(values) or []:
+        name, equals, value = text.rpartition("=")
+        if not (name and equals and value):
+            raise OptionError(f"--{option} takes NAME=VALUE; got {text!r}.")
+        found[name] = value
+    return found
+
+
+def method_of(name: str, given: Mapping[str, Any]) -> Any:
+    """Return a method with the options that were given.
+
+    Raises
+    ------
+    OptionError
+        An option that belongs to another method, or a value that it refuses.
+    """
+    kind = METHODS[name]
+    own = {field.name: field for field in dataclasses.fields(kind)}
+    for option in given:
+        if option not in own:
+            owners = " and ".join(_owners(option))
+            raise OptionError(
+                f"{_flag(option)} is an option of {owners}; {name} takes "
+                f"{', '.join(map(_flag, own))}."
+            )
+    return kind(**{option: _settled(value) for option, value in given.items()})
+
+
+def given_options(options: Any) -> dict[str, Any]:
+    """Return the method options that were named on the command line."""
+    values = {field.name: getattr(options, field.name) for field in dataclasses.fields(options)}
+    return {name: value for name, value in values.items() if value is not None}
+
+
+def option_type(methods: Mapping[str, type]) -> type:
+    """Return a dataclass with the fields of every method, all None until given."""
+    fields: dict[str, list[tuple[str, dataclasses.Field[Any], Any]]] = {}
+    for name, kind in methods.items():
+        hints = typing.get_type_hints(kind)
+        for field in dataclasses.fields(kind):
+            fields.setdefault(field.name, []).append((name, field, hints[field.name]))
+    made = dataclasses.make_dataclass(
+        "MethodOptions",
+        [
+            (name, _annotation(owners), dataclasses.field(default=None))
+            for name, owners in fields.items()
+        ],
+        frozen=True,
+        # without a module of its own, the command line takes it for a built-in type
+        namespace={"__module__": __name__},
+    )
+    return Parameter(name="*", group=METHOD_OPTIONS)(made)
+
+
+def _annotation(owners: Sequence[tuple[str, dataclasses.Field[Any], Any]]) -> Any:
+    hint: Any = None
+    for _, _, each in owners:
+        hint = each | hint
+    is_flag = bool in typing.get_args(hint)
+    return Annotated[hint, Parameter(help=_described(owners), negative=None if is_flag else ())]
+
+
+def _described(owners: Sequence[tuple[str, dataclasses.Field[Any], Any]]) -> str:
+    """Return the help of one option; what several methods say alike is said once."""
+    said: dict[str, list[str]] = {}
+    for name, field, _ in owners:
+        words = field.metadata.get("help", field.name.replace("_", " "))
+        # None means chosen, or all: the words say so
+        known = field.default is not None and field.default is not dataclasses.MISSING
+        said.setdefault(words + (f" (default {field.default})" if known else ""), []).append(name)
+    return " ".join(f"[{', '.join(names)}] {words}." for words, names in said.items())
+
+
+def _owners(option: str) -> list[str]:
+    return [
+        name
+        for name, kind in METHODS.items()
+        if option in {field.name for field in dataclasses.fields(kind)}
+    ]
+
+
+def _flag(option: str) -> str:
+    return "--" + option.replace("_", "-")
+
+
+def _settled(value: Any) -> Any:
+    """Return names in a tuple with their commas split."""
+    return tuple(split_names(value) or ()) if isinstance(value, tuple) else value
+
+
+if TYPE_CHECKING:
+    MethodOptions = types.SimpleNamespace
+else:
+    MethodOptions = option_type(METHODS)

@@ -18,6 +18,7 @@ from vibrid.identification import (
     scan_orders,
     steady_modes,
 )
+from vibrid.identification.held_out import held_out_errors, smallest_enough
 from vibrid.identification.modal_basis import modal_basis
 from vibrid.samples import timber_building
 from vibrid.scores import fit_percent, relative_error
@@ -294,3 +295,64 @@ def test_fit_on_unseen_data_needs_no_luck(rng: np.random.Generator) -> None:
     rest = record.slice(4000)
     modelled = fit.simulate_record(rest)
     assert (fit_percent(rest.outputs[24:], modelled[24:]) > 97).all()
+
+
+# -- orders on unseen halves
+
+
+def test_held_out_error_is_that_of_an_explicit_split(rng: np.random.Generator) -> None:
+    """The curve's value is the mean of two identifications on halves, scored on the others."""
+    _, record = shaker_test(rng, noise=0.3)
+    method = vb.N4SID(block_rows=12, completion="simulation")
+    errors = []
+    halves = record.slice(0, 3000), record.slice(3000)
+    for seen, unseen in (halves, halves[::-1]):
+        fit = vb.identify(seen, method, order=6)
+        modelled = fit.simulate_record(unseen)[20:]
+        errors.append(1 - fit_percent(unseen.outputs[20:], modelled).mean() / 100)
+    found = held_out_errors(open_stream(record), method, None, [6])
+    # the stream's scale and centre are those of the whole record: rounding and no more
+    np.testing.assert_allclose(found[6], np.mean(errors), rtol=2e-3)
+
+
+def test_held_out_halves_stop_a_criterion_that_falls_for_ever(rng: np.random.Generator) -> None:
+    """A hardening spring lets the criterion ask for many states; unseen halves do not."""
+    force = white_noise(8000, rng=rng)
+    y = np.zeros((8000, 1))
+    position = velocity = 0.0
+    for t in range(8000):
+        velocity += 0.02 * (force[t, 0] - 0.6 * velocity - 100 * position - 3e4 * position**3)
+        position += 0.02 * velocity
+        y[t] = position
+    record = vb.Record(y, force, dt=0.02)
+    fit = vb.identify(record)
+    curve = fit.diagnostics.figures["held_out_errors"]
+    by_criterion = fit.diagnostics.figures["orders"][
+        np.nanargmin(fit.diagnostics.figures["criterion"])
+    ]
+    assert fit.order < by_criterion
+    assert "unseen halves" in fit.diagnostics.figures["choices"][1]
+    limit = 1.05 * curve[:, 1].min()
+    assert (curve[curve[:, 0] < fit.order, 1] > limit).all()
+
+
+def test_smallest_enough_allows_five_percent() -> None:
+    """The smallest order within 5 % of the least error wins."""
+    assert smallest_enough({2: 0.5, 4: 0.209, 6: 0.2, 8: 0.21}) == 4
+    assert smallest_enough({2: 0.5, 4: 0.211, 6: 0.2}) == 6
+
+
+def test_short_records_have_no_held_out_errors(rng: np.random.Generator) -> None:
+    """Where halves are shorter than the horizon needs, there is no curve."""
+    _, record = shaker_test(rng, n_samples=300)
+    assert held_out_errors(open_stream(record), vb.N4SID(block_rows=20), None, [4]) == {}
+
+
+def test_disagreeing_damping_is_said(rng: np.random.Generator) -> None:
+    """A horizon far shorter than the memory of a lightly damped mode gives a doubt."""
+    frame = shear_frame(4, 100.0, 2e5, damping_ratio=0.002)
+    force = white_noise(3000, rng=rng, std=100.0)
+    record = frame.simulate(force, DT, forces=["f1"], noise=0.3, rng=rng)
+    fit = vb.identify(record, vb.N4SID(block_rows=5), order=8)
+    codes = [finding.code for finding in fit.diagnostics.findings]
+    assert "damping-doubt" in codes

@@ -7,6 +7,7 @@ import scipy.linalg as sla
 
 from .record import Floats
 
+STABLE_TO = 1 + 1e-9  # spectral radius of a model; an undamped structure is on the circle
 DETECTABLE = 1 - 1e-10  # spectral radius that a usable predictor stays below
 
 

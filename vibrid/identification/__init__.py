@@ -17,7 +17,8 @@ from ..record import Record
 from .assessment import Assessment, assess, assess_last
 from .choice import Choice, OrderScan, Progress, choose, scan_orders, steady_modes
 from .completion import complete
-from .stability import POLICIES, is_stable, settle
+from .finishing import finish
+from .stability import POLICIES
 
 __all__ = [
     "METHODS",
@@ -62,8 +63,9 @@ def identify(
         N4SID when there are inputs, SSI when there are none. Options left out (block_rows)
         are chosen by prediction error.
     order : int or "auto"
-        Number of states. "auto" takes the lowest information criterion, and for outputs
-        alone the smallest order that holds every mode that persists over the orders.
+        Number of states. "auto" takes, with inputs, the smallest order up to the lowest
+        information criterion that simulates unseen halves of the record within 5 % of the
+        best; without, the smallest that holds every mode that persists over the orders.
     offset : "estimate", "mean" or "none"
         Project a constant out exactly, subtract means, or use raw data.
     feedthrough : bool or one for each output, optional
@@ -106,7 +108,8 @@ def identify(
     report("reduce", 0, 1)
     choice = choose(stream, method, order, feedthrough, report)
     report("complete", 0, 1)
-    return _with_reasons(_finish(choice, stream, stability), stream, choice)
+    fit = finish(choice.method, choice.decomposition, choice.order, stream, stability)
+    return _with_reasons(fit, stream, choice)
 
 
 def assess_unseen(record: Record, fit: Fit, share: float = 0.25) -> Assessment | None:
@@ -132,31 +135,6 @@ def assess_unseen(record: Record, fit: Fit, share: float = 0.25) -> Assessment |
         return None
 
 
-def _finish(choice: Choice, stream: Stream, stability: str) -> Fit:
-    """Realize, settle and complete; with inputs, keep the transition that simulates better.
-
-    The Gram ranks transitions over the horizon only; a lightly damped structure remembers
-    longer, and the pass that finds B and D tells.
-    """
-    method, found = choice.method, []
-    for option in _transitions(method, stream):
-        fit = option.realize(choice.decomposition, choice.order)
-        if is_stable(fit):
-            found.append(complete(fit, stream, getattr(method, "completion", "auto")))
-    if found:
-        best = min(found, key=lambda fit: fit.diagnostics.figures.get("simulation_error", np.inf))
-        return replace(best, method=method)
-    fit = method.realize(choice.decomposition, choice.order)
-    fit = settle(fit, stability, method, choice.decomposition)
-    return complete(fit, stream, getattr(method, "completion", "auto")) if is_stable(fit) else fit
-
-
-def _transitions(method: Any, stream: Stream) -> list[Any]:
-    if stream.n_inputs and getattr(method, "transition", "") == "auto":
-        return [replace(method, transition=name) for name in ("regression", "shift")]
-    return [method]
-
-
 def _check_order(order: int | str) -> None:
     if isinstance(order, str):
         check_choice("order", order, ("auto",))
@@ -178,6 +156,7 @@ def _with_reasons(fit: Fit, stream: Stream, choice: Choice) -> Fit:
     if choice.scan is not None:
         figures["orders"] = choice.scan.orders
         figures["criterion"] = choice.scan.criterion
+        figures["held_out_errors"] = choice.held_out
         figures["persistence"] = choice.scan.persistence(modes_of(fit), fit.order // 2)
     findings = [*_memory_findings(fit), *_drift_findings(fit, stream)]
     return replace(fit, diagnostics=fit.diagnostics.joined(figures, findings))
@@ -186,8 +165,8 @@ def _with_reasons(fit: Fit, stream: Stream, choice: Choice) -> Fit:
 def _memory_findings(fit: Fit) -> list[Finding]:
     figures = fit.diagnostics.figures
     memory, rows = figures.get("predictor_memory", 0.0), figures.get("past_rows")
-    # shift invariance does not suffer: its observability matrix is not truncated
-    if memory <= SHORT_MEMORY or figures.get("transition") != "regression":
+    # with "auto" the two transitions were compared; shift alone does not suffer
+    if memory <= SHORT_MEMORY or getattr(fit.method, "transition", "") != "regression":
         return []
     return [
         Finding(

@@ -9,9 +9,8 @@ import numpy as np
 
 from ..errors import UnstableModelError
 from ..fit import Finding, Fit
-from ..kalman import DETECTABLE, spectral_radius
+from ..kalman import DETECTABLE, STABLE_TO, spectral_radius
 from ..record import Floats
-from .choice import STABLE_TO
 
 NEIGHBOURS = 12  # orders above and below that the error message tries
 INSIDE = 1 - 1e-9  # a projected pole stays at least this far from the circle

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from ...chunks import Stream
 from ...gram import BlockGram, Factor
-from ...kalman import DETECTABLE, riccati_gain, spectral_radius
+from ...kalman import DETECTABLE, STABLE_TO, riccati_gain, spectral_radius
 from ...linalg import one_blas_thread, solve_upper
 from ...record import Floats
 from .layout import Layout
@@ -89,7 +89,7 @@ class Subspace:
         layout = self.layout
         parameters = order * (2 * layout.n_outputs + layout.n_inputs)
         value = self.n_columns * self.prediction_cost(model)
-        return value + np.log(self.n_columns) * parameters, model.radius < 1
+        return value + np.log(self.n_columns) * parameters, model.radius <= STABLE_TO
 
     @cached_property
     def _regression(self) -> Floats:
@@ -128,7 +128,7 @@ class Subspace:
             return self._by_shift(order)
         return min(
             (self.realize(order, "regression"), self.realize(order, "shift")),
-            key=lambda model: (model.radius >= 1, self._cost(model)),
+            key=lambda model: (model.radius > STABLE_TO, self._cost(model)),
         )
 
     @cached_property

@@ -1,0 +1,90 @@
+"""How well each order simulates the half of the data that it was not identified on."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from ..chunks import Segment, Stream
+from ..errors import DataError
+from ..fit import Fit
+from ..methods.preparation import check_length
+from ..scores import fit_percent, folds, start_samples
+from .finishing import finished
+
+LONGEST_HALF = 20_000  # samples of a half: more only cost time
+GRID = (1, 2, 3, 4, 5, 6, 8, 10, 12, 14, 16, 20, 24, 28, 32, 36, 40, 48, 54, 60)
+ENOUGH = 1.05  # of the smallest error: what a smaller order may cost
+
+
+def held_out_errors(
+    stream: Stream,
+    method: Any,
+    feedthrough: bool | Sequence[bool] | None,
+    orders: Sequence[int],
+) -> dict[int, float]:
+    """Return the relative simulation error of each order on unseen halves; {} if too short.
+
+    Each half of every segment is simulated by a model of the other half; the initial state
+    is MAP and its samples are not scored. Unstable orders are left out.
+
+    Returns
+    -------
+    dict order → error
+        Mean over outputs and halves of ‖y − ŷ‖ / ‖y − ȳ‖.
+    """
+    halves = _halves(stream)
+    rows = (method.past_rows or method.block_rows) + method.block_rows
+    try:
+        for half in halves:
+            check_length(half, rows)
+    except DataError:
+        return {}
+    errors: dict[int, list[float]] = {order: [] for order in orders}
+    for seen, unseen in (halves, halves[::-1]):
+        decomposition = method.decompose(seen, feedthrough=feedthrough)
+        for order in orders:
+            if order > decomposition.largest_order:
+                continue
+            fit = finished(method, decomposition, order, seen, "simulation")
+            if fit is not None:
+                errors[order].append(_error(fit, unseen))
+    return {order: float(np.mean(each)) for order, each in errors.items() if len(each) == 2}
+
+
+def smallest_enough(errors: dict[int, float]) -> int:
+    """Return the smallest order whose error is within 5 % of the smallest error."""
+    limit = ENOUGH * min(errors.values())
+    return min(order for order, error in errors.items() if error <= limit)
+
+
+def _halves(stream: Stream) -> tuple[Stream, Stream]:
+    """Return the stream of first halves and that of second halves, next to each other."""
+    first, second = [], []
+    for segment in stream.segments:
+        (_, middle), _ = folds(segment.length, 2)
+        length = min(middle, LONGEST_HALF)
+        cut = segment.start + middle
+        first.append(Segment(segment.record, cut - length, cut))
+        second.append(Segment(segment.record, cut, min(segment.stop, cut + length)))
+    return (
+        replace(stream, segments=tuple(first)),
+        replace(stream, segments=tuple(second)),
+    )
+
+
+def _error(fit: Fit, unseen: Stream) -> float:
+    """Return the relative simulation error over all segments long enough to be scored."""
+    skipped = start_samples(fit.order)
+    measured, modelled = [], []
+    for segment in unseen.segments:
+        if segment.length > 2 * skipped:
+            piece = unseen.records[segment.record].slice(segment.start, segment.stop)
+            measured.append(np.asarray(piece.outputs[skipped:]))
+            modelled.append(fit.simulate_record(piece)[skipped:])
+    if not measured:
+        return np.inf
+    return float(1 - fit_percent(np.vstack(measured), np.vstack(modelled)).mean() / 100)

@@ -29,6 +29,7 @@ def known_fit(
         "segments": (),
         "input_offset": np.zeros(m),
         "output_offset": np.zeros(p),
+        "feedthrough": np.ones(p, dtype=bool),
         "method": N4SID(),
         "order": n,
         "singular_values": np.ones(n),

@@ -76,7 +76,9 @@ def test_constant_channels_are_refused_by_name(rng: np.random.Generator) -> None
     y[:, 0], y[:, 2] = 0, 0.1 + 0.2
     y[::7, 2] = 0.3
     for offset in ("estimate", "mean", "none"):
-        with pytest.raises(DataError, match=r"2 of 4 channels do not move: y1, y3\..*select"):
+        with pytest.raises(
+            DataError, match=r"2 of 4 channels do not move: y1, y3 \(.*select\(\), or --inputs"
+        ):
             open_stream(Record(y, dt=1), offset)
 
 

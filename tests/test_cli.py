@@ -25,6 +25,12 @@ FRAME = shear_frame(2, 100.0, 2e4, damping_ratio=0.01)  # 1.39 and 3.64 Hz
 HEADER = "time [s],hammer [N],a1 [m/s2],a2 [m/s2]"
 
 
+@pytest.fixture(autouse=True)
+def warnings_count(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Let warnings through, which the command hides from users, so that tests see them."""
+    monkeypatch.setenv("VIBRID_DEBUG", "1")
+
+
 @pytest.fixture(scope="module")
 def csv_file(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Return a CSV file of 100 s at 20 Hz: force at the top, both accelerations."""
@@ -168,11 +174,13 @@ def test_info_says_what_a_file_holds(
 
 
 def test_frequency_responses_are_told_but_not_identified(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """A file that holds no time record is described by info and refused by identify."""
     responses = FrequencyResponses(np.ones((4, 1, 1), complex), np.arange(4.0))
     monkeypatch.setattr("vibrid.cli.options.read_record", lambda *_, **__: responses)
+    monkeypatch.chdir(tmp_path)
+    Path("plate.uff").touch()
     assert main(["info", "plate.uff"]) == 0
     assert "frequency responses, not a time record: 4 lines" in capsys.readouterr().out
     assert run_json(capsys, "info", "plate.uff")["n_lines"] == 4
@@ -186,12 +194,17 @@ def test_frequency_responses_are_told_but_not_identified(
         (["FILE", "--kind", "data"], 2, "--kind is an option of ssi; n4sid takes --weighting"),
         (["FILE", "--weighting", "best"], 2, "weighting must be one of cva, moesp, n4sid"),
         (["FILE", "--method", "okid2"], 2, "--method must be one of n4sid, ssi"),
-        (["FILE", "--order", "0"], 2, "at least 1"),
+        (["FILE", "--order", "0"], 2, "--order must be auto or a whole number, at least 1"),
+        (["FILE", "--order", "-3"], 2, "at least 1; got '-3'"),
+        (["FILE", "--save", "FILE"], 2, "--save would overwrite"),
+        (["-"], 2, "Standard input is not read"),
+        (["x" * 5000], 2, "cannot be read: File name too long"),
         (["FILE", "--order", "many"], 2, "--order must be auto or a whole number"),
         (["FILE", "--order", "900"], 2, "900"),
         (["FILE", "--colour", "red"], 2, "Unknown option"),
         (["FILE", "--band", "3"], 2, "--band requires 2 values; got 1"),
         (["FILE", "--band", "4", "3"], 2, "low < high"),
+        (["FILE", "--band", "1e-300", "3"], 2, "must begin at 0 or at least at"),
         (["FILE", "--unit", "a1"], 2, "--unit takes NAME=VALUE; got 'a1'"),
         (["FILE", "--offset", "some"], 2, "--offset must be one of estimate"),
         (["FILE", "--save", "/nowhere/x.h5"], 2, "There is no folder /nowhere"),
@@ -230,8 +243,9 @@ def test_wrong_options_are_refused_before_the_file_is_read(
     ("name", "content", "words"),
     [
         ("empty.csv", "", "is empty"),
-        ("one.csv", "a,b\n1,2\n", "1 sample"),
-        ("short.csv", "a,b\n" + "1,2\n2,1\n" * 4, "samples"),
+        ("one.csv", "a,b\n1,2\n", "1 sample of 2 channels: time is axis 0, and a record needs"),
+        ("short.csv", "a,b\n" + "1,2\n2,1\n" * 4, "Record at least 11 samples in one piece"),
+        ("huge.csv", "a,b\n" + "1,2\n2,1e300\n" * 40, "Sample 1 of channel b is 1e+300"),
         ("nan.csv", "a,b\n" + "nan,nan\n" * 50, "NaN"),
         ("flat.csv", "a,b\n" + "".join(f"{k % 7},5\n" for k in range(200)), "b"),
         ("text.csv", "a,b\nx,y\nz,w\n", "'x'"),
@@ -247,6 +261,61 @@ def test_bad_data_is_one_sentence_and_status_1(
     assert main(["identify", str(path), "--dt", "0.1"]) == 1
     said = capsys.readouterr()
     assert said.out == "" and words in said.err and said.err.count("\n") == 1
+
+
+def test_too_large_a_horizon_is_refused_before_it_is_allocated(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Block rows that the samples allow but no memory holds are refused at once."""
+    path = tmp_path / "long.npy"
+    np.save(path, np.random.default_rng(0).standard_normal((400_000, 1)))
+    assert main(["identify", str(path), "--dt", "0.01", "--block-rows", "100000"]) == 1
+    said = capsys.readouterr().err
+    assert "block_rows=100000 with 1 output makes a matrix of 298 GiB" in said
+    assert "Use at most 11585 block rows" in said
+
+
+def test_a_record_on_disk_is_loaded_for_a_band(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Filters load what fits into memory and refuse what does not, in words for the command."""
+    rng = np.random.default_rng(1)
+    record = FRAME.simulate(white_noise(2000, rng=rng), 0.05, forces=["f2"], noise=0.01, rng=rng)
+    path = tmp_path / "run.npy"
+    np.save(path, np.hstack([record.inputs[:], record.outputs[:]]))
+    monkeypatch.setattr("vibrid.files.reading.MEMORY_BYTES", 1000)
+    arguments = ["identify", path, "--dt", "0.05", "--inputs", "1", "--band", 0, 5, "--order", 4]
+    found = run_json(capsys, *arguments)
+    assert found["modes"][0]["frequency_hz"] == pytest.approx(FRAME.frequencies_hz[0], rel=0.01)
+    monkeypatch.setattr("vibrid.cli.options.LARGEST_LOADED", 1000)
+    assert main([str(each) for each in arguments]) == 2
+    assert "--band needs the record in memory" in capsys.readouterr().err
+
+
+def test_names_with_commas_are_quoted(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Double quotes keep the comma in a channel's name."""
+    path = tmp_path / "run.csv"
+    rows = np.random.default_rng(2).standard_normal((300, 2))
+    np.savetxt(path, rows, delimiter=",", header='"hammer, left",a', comments="")
+    arguments = ["--dt", 0.1, "--inputs", '"hammer, left"', "--unit", '"hammer, left=N"']
+    found = run_json(capsys, "info", path, *arguments)
+    assert [each["role"] for each in found["channels"]] == ["input", "output"]
+    assert found["channels"][0]["unit"] == "N"
+
+
+def test_info_shows_a_saved_model_and_identify_refuses_it(
+    csv_file: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """What --save wrote can be looked at, and is not taken for a record."""
+    target = tmp_path / "run.vibrid.h5"
+    run_json(capsys, "identify", csv_file, "--inputs", "hammer", "--order", 4, "--save", target)
+    assert main(["info", str(target)]) == 0
+    assert "a saved model at 20 Hz: order 4" in capsys.readouterr().out
+    assert run_json(capsys, "info", target)["order"] == 4
+    assert main(["info", str(target), "--dt", "1"]) == 2
+    assert "options for records do not apply" in capsys.readouterr().err
+    assert main(["identify", str(target)]) == 1
+    assert "holds a saved model, not a record" in capsys.readouterr().err
 
 
 def test_a_defect_is_one_line_unless_debugging(

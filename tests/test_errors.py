@@ -119,6 +119,30 @@ def test_writable_paths(tmp_path: Path) -> None:
         check_writable(tmp_path / "missing" / "fit.h5")
     with pytest.raises(PathError, match="is a folder"):
         check_writable(tmp_path)
+    file.write_text("kept")
+    assert check_writable(file).read_text() == "kept"
+    assert list(tmp_path.iterdir()) == [file]
+
+
+def test_pipes_and_devices_are_refused(tmp_path: Path) -> None:
+    """A pipe is neither waited for nor replaced by a file."""
+    pipe = tmp_path / "pipe.csv"
+    os.mkfifo(pipe)
+    for check in (check_readable, check_writable):
+        with pytest.raises(PathError, match="is a pipe or device"):
+            check(pipe)
+    assert pipe.is_fifo()
+
+
+def test_odd_places_and_names_are_refused_before_the_work(tmp_path: Path) -> None:
+    """Where no file can be made, or none of this name, it is said at once, also to root."""
+    with pytest.raises(PathError, match="cannot be written: File name too long; write elsewhere"):
+        check_writable(tmp_path / ("x" * 250))
+    with pytest.raises(PathError, match="cannot be read: File name too long"):
+        check_readable(tmp_path / ("x" * 5000))
+    if Path("/proc/self").is_dir():
+        with pytest.raises(PathError, match=r"/proc/x\.h5 cannot be written"):
+            check_writable("/proc/x.h5")
 
 
 def test_a_folder_without_permission(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -86,7 +86,7 @@ def test_number_kinds_become_double(kind: type) -> None:
         (np.array([[True], [False]]), "booleans"),
         ([[1.0, 2.0], [3.0]], "different length"),
         (np.ones((2, 3, 2)), r"2 axes .* \(2, 3, 2\)"),
-        (np.ones((3, 50)), "3 samples of 50 channels.*transposed"),
+        (np.ones((3, 50)), "3 samples of 50 channels.*too short, or .* transposed"),
         (np.ones((0, 2)), "empty"),
         (np.ones((5, 0)), "empty"),
         (np.ma.array([1.0, 2.0], mask=[0, 1]), "masked array.*NaN"),

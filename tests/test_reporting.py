@@ -16,8 +16,10 @@ from vibrid.identification import assess
 from vibrid.reporting import (
     Outcome,
     Reference,
+    describe_fit,
     describe_record,
     describe_responses,
+    fit_as_json,
     outcome_as_json,
     responses_as_json,
     summary,
@@ -96,10 +98,46 @@ def test_reference_needs_a_steady_mode(outcome: Outcome) -> None:
 def test_findings_of_the_survey_suggest_a_band_once(outcome: Outcome) -> None:
     """The suggested band is not repeated where a band is used."""
     hint = "a band of 0 to 2 Hz is worth trying (--band 0 2)"
-    looked = replace(outcome.survey, findings=("channel a drifts", hint))
+    looked = replace(outcome.survey, findings=("channel a drifts",), suggestion=hint)
     free = printed(summary(replace(outcome, survey=looked)), 200)
     banded = printed(summary(replace(outcome, survey=looked, band=(0.0, 5.0))), 200)
     assert hint in free and hint not in banded and "channel a drifts" in banded
+
+
+@pytest.mark.parametrize(
+    ("unseen_fit", "strength", "code"),
+    [(88.0, 1.0, "worse-unseen"), (88.0, 0.05, "weak-unseen"), (92.0, 0.05, None)],
+)
+def test_a_much_worse_unseen_part_is_a_finding(
+    outcome: Outcome, unseen_fit: float, strength: float, code: str | None
+) -> None:
+    """More than 10 points worse blames the model, unless the part hardly moves."""
+    assert outcome.seen is not None
+    cut, n = 1200, outcome.record.n_samples
+    y = np.array(outcome.record.outputs)
+    y[cut:] *= strength
+    record = Record(y, outcome.record.inputs, dt=0.05)
+    seen = replace(outcome.seen, fit_percent=np.array([99.0, 99.0]))
+    scores = {"fit_percent": np.full(2, unseen_fit), "start": cut * 0.05, "stop": n * 0.05}
+    judged = replace(outcome, record=record, seen=seen, unseen=replace(seen, seen=False, **scores))
+    codes = [each["code"] for each in outcome_as_json(judged)["findings"]]
+    shown = " ".join(printed(summary(judged)).split())
+    assert (codes[-1:] == [code]) if code else not {"worse-unseen", "weak-unseen"} & set(codes)
+    assert ("Try a lower --order, a --band, or another stretch." in shown) == (
+        code == "worse-unseen"
+    )
+    assert shown.count("The unseen part fits 11 points worse") == (code is not None)
+
+
+def test_a_saved_model_is_described(outcome: Outcome) -> None:
+    """Method, order, channels and modes of a fit are told, as text and as JSON."""
+    shown = printed(describe_fit(outcome.fit, "run.vibrid.h5"))
+    for words in ("a saved model at 20 Hz: order 4, method=n4sid", "1 input (force", "f [Hz]"):
+        assert words in shown
+    facts = fit_as_json(outcome.fit, "run.vibrid.h5")
+    assert (facts["kind"], facts["method"], facts["order"]) == ("model", "n4sid", 4)
+    f = [mode["frequency_hz"] for mode in facts["modes"]]
+    np.testing.assert_allclose(f, FRAME.frequencies_hz, rtol=0.01)
 
 
 def test_names_are_never_markup(rng: np.random.Generator) -> None:

@@ -10,6 +10,7 @@ import pytest
 from vibrid.errors import DataError, OptionError
 from vibrid.record import Floats
 from vibrid.scores import (
+    carried_state,
     fit_percent,
     folds,
     initial_state,
@@ -176,3 +177,12 @@ def test_impossible_folds_are_refused() -> None:
         folds(3)
     with pytest.raises(OptionError, match="count must be at least 2; got 1"):
         folds(100, 1)
+
+
+def test_carried_state_joins_two_stretches(rng: np.random.Generator) -> None:
+    """Simulating a record at once or in two parts with the state carried over is the same."""
+    model = StateSpace([[0.9, 0.2], [-0.2, 0.9]], [[1.0], [0.5]], [[1.0, 0.3]], [[0.1]], 0.1)
+    u, start = rng.standard_normal((300, 1)), np.array([2.0, -1.0])
+    whole = model.simulate(u, start)
+    rest = model.simulate(u[130:], carried_state(model, u[:130], start))
+    np.testing.assert_allclose(rest, whole[130:], atol=1e-12)

@@ -39,6 +39,7 @@ class Stream:
     segments: tuple[Segment, ...]
     centre: Floats
     scale: Floats
+    deviation: Floats
     offset: str
 
     @property
@@ -60,6 +61,11 @@ class Stream:
     @property
     def output_scale(self) -> Floats:
         return self.scale[self.n_inputs :]
+
+    @property
+    def output_deviation(self) -> Floats:
+        """Standard deviation of each output."""
+        return self.deviation[self.n_inputs :]
 
     def read(self, segment: Segment, start: int, stop: int) -> Floats:
         """Return samples [start, stop) of a segment, centred and scaled (rows, channels)."""
@@ -113,7 +119,7 @@ def open_stream(data: Record | Sequence[Record], offset: str = "estimate") -> St
     if not segments:
         raise DataError(
             f"No sample has all {len(channels)} channels: every row holds a NaN. Leave out the "
-            "channels that are missing, or check the file."
+            "channels that are missing (select(), or --outputs without them), or check the file."
         )
     mean, std = _mean_and_std(records, segments)
     _refuse_constant(channels, mean, std)
@@ -123,6 +129,7 @@ def open_stream(data: Record | Sequence[Record], offset: str = "estimate") -> St
         segments,
         centre=np.zeros_like(mean) if offset == "none" else mean,
         scale=np.exp2(np.round(np.log2(level))),
+        deviation=std,
         offset=offset,
     )
 
@@ -155,6 +162,7 @@ def _refuse_constant(channels: Sequence[Channel], mean: Floats, std: Floats) -> 
     if flat:
         names = ", ".join(flat[:6]) + (" …" if len(flat) > 6 else "")
         raise DataError(
-            f"{len(flat)} of {len(channels)} channels do not move: {names}. A constant channel "
-            "says nothing about the structure; leave it out with select()."
+            f"{len(flat)} of {len(channels)} channels do not move: {names} (standard deviation 0, "
+            f"or below {CONSTANT_LIMIT:g} of the mean). A constant channel says nothing about the "
+            "structure; leave it out (select(), or --inputs and --outputs without it)."
         )

@@ -17,6 +17,7 @@ from __future__ import annotations
 import difflib
 import math
 import os
+import tempfile
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 
@@ -88,11 +89,14 @@ def check_whole(name: str, value: object, smallest: int, largest: int | None = N
 def check_readable(path: str | os.PathLike[str]) -> Path:
     """Return `path` as a Path, or raise `PathError` when it is not a readable file."""
     path = Path(path)
-    if path.is_dir():
-        raise PathError(f"{path} is a folder; give the path of a file in it.")
     try:
-        with path.open("rb"):
-            return path
+        if path.is_dir():
+            raise PathError(f"{path} is a folder; give the path of a file in it.")
+        if path.exists() and not path.is_file():  # a pipe would be waited for, and read once only
+            raise PathError(f"{path} is a pipe or device; write its content to a file first.")
+        with path.open("rb") as file:
+            file.read(1)
+        return path
     except FileNotFoundError:
         raise PathError(f"There is no file {path}. Check the path.") from None
     except OSError as problem:
@@ -102,15 +106,21 @@ def check_readable(path: str | os.PathLike[str]) -> Path:
 def check_writable(path: str | os.PathLike[str]) -> Path:
     """Return `path` as a Path, or raise `PathError` when it cannot be written.
 
-    Called before the work begins, so that no result is lost at the end.
+    Called before the work begins, so that no result is lost at the end. A file is made beside
+    it and removed; what `path` holds is not touched.
     """
     path = Path(path)
     folder = path.parent
-    if path.is_dir():
-        raise PathError(f"{path} is a folder; give the path of a file to write.")
-    if not folder.is_dir():
-        raise PathError(f"There is no folder {folder}; make it first or write elsewhere.")
-    target = path if path.exists() else folder
-    if not os.access(target, os.W_OK):
-        raise PathError(f"{target} is not writable; write elsewhere.")
-    return path
+    try:
+        if path.is_dir():
+            raise PathError(f"{path} is a folder; give the path of a file to write.")
+        if not folder.is_dir():
+            raise PathError(f"There is no folder {folder}; make it first or write elsewhere.")
+        if path.exists() and not path.is_file():  # to replace a device would break the system
+            raise PathError(f"{path} is a pipe or device; give the path of a file to write.")
+        if path.exists() and not os.access(path, os.W_OK):
+            raise PathError(f"{path} is not writable; write elsewhere.")
+        with tempfile.NamedTemporaryFile(prefix=f".{path.name}.", dir=folder):
+            return path
+    except OSError as problem:
+        raise PathError(f"{path} cannot be written: {problem.strerror}; write elsewhere.") from None

@@ -61,7 +61,10 @@ class Fit:
     segments : tuple of Segment
         (record, start, stop) of each piece.
     input_offset, output_offset : array
-        The model relates inputs less `input_offset` to outputs less `output_offset`.
+        The model relates inputs less `input_offset` to outputs less `output_offset`; of
+        several segments, the mean over their samples.
+    feedthrough : array of bool (n_outputs,)
+        Which outputs have direct transmission; the rows of D of the others are zero.
     method : the method's dataclass, with every option as it was used
     order : int
     singular_values : array
@@ -81,6 +84,7 @@ class Fit:
     segments: tuple[Segment, ...]
     input_offset: Floats
     output_offset: Floats
+    feedthrough: NDArray[np.bool_]
     method: Any
     order: int
     singular_values: Floats

@@ -91,8 +91,17 @@ def solve_upper(upper: Floats, right_hand_side: Floats) -> Floats:
 
 
 def left_whitener(matrix: Floats) -> tuple[Floats, Floats]:
-    """Return T and T⁺ with T Tᵀ = matrix · matrixᵀ, the null space dropped."""
-    left, values, _ = sla.svd(matrix, full_matrices=False)
+    """Return T and T⁺ with T Tᵀ = matrix · matrixᵀ.
+
+    Triangular where the rows are independent; otherwise from singular vectors, the null
+    space dropped.
+    """
+    rows = len(matrix)
+    root = np.asarray(sla.qr(matrix.T, mode="r", check_finite=False)[0])[:rows].T
+    diagonal = np.abs(np.diag(root))
+    if root.shape == (rows, rows) and diagonal.min() > np.sqrt(RANK_TOLERANCE) * diagonal.max():
+        inverse = sla.solve_triangular(root, np.eye(rows), lower=True, check_finite=False)
+        return root, np.asarray(inverse)
+    left, values, _ = sla.svd(root, full_matrices=False)
     rank = int(np.count_nonzero(values > RANK_TOLERANCE * values[0]))
-    root = left[:, :rank] * values[:rank]
-    return root, (left[:, :rank] / values[:rank]).T
+    return left[:, :rank] * values[:rank], (left[:, :rank] / values[:rank]).T

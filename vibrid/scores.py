@@ -10,7 +10,7 @@ import scipy.linalg as sla
 
 from .errors import DataError, check_choice, check_whole
 from .record import Floats
-from .statespace import StateSpace
+from .statespace import StateSpace, simulate
 
 InitialRule = Literal["map", "least_squares", "zero"]
 INITIAL_RULES = ("map", "least_squares", "zero")
@@ -73,7 +73,7 @@ def initial_state(
 
     "map" weighs the first max(20, 3 n) samples against a prior state covariance, so slow
     poles cannot explode; "least_squares" uses all samples, which flatters; "zero" is rest.
-    A state may also be carried over: simulate the stretch before and pass its final state.
+    A state may also be carried over from the stretch before, see `carried_state`.
 
     Parameters
     ----------
@@ -105,6 +105,25 @@ def initial_state(
         left = np.vstack([left, _inverse_root(prior)])
         right = np.concatenate([right, np.zeros(len(left) - len(right))])
     return np.asarray(sla.lstsq(left, right, cond=1e-12)[0])
+
+
+def carried_state(model: StateSpace, inputs: Floats, state: Floats) -> Floats:
+    """Return the state after a stretch of inputs: the initial state of what follows it.
+
+    Parameters
+    ----------
+    model : StateSpace
+        Discrete; for a predictor, `inputs` holds inputs and outputs.
+    inputs : array (n_samples, n_inputs)
+    state : array (n,)
+        At the first sample of the stretch.
+
+    Returns
+    -------
+    array (n,)
+    """
+    A, B, C, D = model.A, model.B, model.C, model.D
+    return simulate(A, B, C[:1], D[:1], np.asarray(inputs, dtype=np.float64), state)[1]
 
 
 def folds(n_samples: int, count: int = 4) -> tuple[tuple[int, int], ...]:

@@ -183,11 +183,12 @@ def test_damage_found_late_is_a_file_error(tmp_path: Path) -> None:
 
 
 def test_a_saved_model_is_no_record(tmp_path: Path) -> None:
-    """A .vibrid.h5 file is told apart."""
-    with h5py.File(tmp_path / "run.vibrid.h5", "w") as file:
-        file["A"] = np.eye(2)
-    with pytest.raises(FileError, match="saved model"):
-        read_record(tmp_path / "run.vibrid.h5")
+    """A saved model is told apart by its content, whatever its name."""
+    with h5py.File(tmp_path / "run.dat", "w") as file:
+        file["A"] = np.ones((9, 2))
+        file.attrs["format"] = "vibrid-fit"
+    with pytest.raises(FileError, match=r"saved model.* see it with load\(\) or vibrid info"):
+        read_record(tmp_path / "run.dat")
 
 
 def test_real_records(shared_data: Path) -> None:

@@ -101,12 +101,15 @@ def test_bad_options(named: Path, tmp_path: Path) -> None:
         read_record(named, dt=0.1, inputs=["force"], outputs=["force"])
     with pytest.raises(OptionError, match="No output is left"):
         read_record(named, dt=0.1, inputs=["force", "acc1", "acc2"])
-    with pytest.raises(OptionError, match="leave variable out"):
+    with pytest.raises(OptionError, match=r"leave variable \(--variable\) out"):
         read_record(named, dt=0.1, variable="x")
-    with pytest.raises(OptionError, match="transpose applies"):
+    with pytest.raises(OptionError, match=r"transpose \(--transpose\) applies"):
         read_record(named, dt=0.1, transpose=True)
     with pytest.raises(OptionError, match="dt must be positive"):
         read_record(named, dt=-1.0)
+    for dt in (1e-320, 1e308):
+        with pytest.raises(OptionError, match="is no sampling interval; give seconds from"):
+            read_record(named, dt=dt)
     text = tmp_path / "channels.txt"
     text.write_text("name")
     with pytest.raises(OptionError, match=r"is \.toml or \.csv"):

@@ -2,28 +2,34 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import os
 import re
 import sys
 import traceback
+import warnings
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from importlib import metadata
 from pathlib import Path
 from typing import Annotated, Any
 
-from cyclopts import App, CycloptsError, Parameter, UnusedCliTokensError
+from cyclopts import App, CycloptsError, Parameter, UnknownOptionError, UnusedCliTokensError
 from rich.console import Console, RenderableType
 from rich.text import Text
 
 from ..errors import DataError, OptionError, VibridError
+from ..files import load
+from ..files.fits import is_fit
 from ..files.survey import survey
 from ..record import FrequencyResponses
 from ..reporting import (
     Outcome,
+    describe_fit,
     describe_record,
     describe_responses,
+    fit_as_json,
     outcome_as_json,
     responses_as_json,
     summary,
@@ -39,11 +45,17 @@ REPEATABLE = ("--quantity", "--dof", "--unit")
 
 AS_READ, AUTOMATIC, NO_OPTIONS, PRINTED = Reading(), Identifying(), MethodOptions(), Results()
 
-Json = Annotated[bool, Parameter(help="Print one JSON object instead of text.", group=RESULTS)]
+Json = Annotated[
+    bool, Parameter(help="Print one JSON object instead of text. Default: text.", group=RESULTS)
+]
 
 app = App(
     name="vibrid",
-    help="From vibration records to state-space models and modes.",
+    help=(
+        "From vibration records to state-space models and modes.\n\n"
+        "Begin with: vibrid demo; with a file of your own: vibrid info FILE. "
+        "The options of a command: vibrid COMMAND --help"
+    ),
     version=lambda: metadata.version("vibrid"),
     help_format="plaintext",
     default_parameter=Parameter(negative=(), show_default=False),
@@ -62,6 +74,8 @@ def identify(
     results: Results = PRINTED,
 ) -> int:
     """Identify a model and its modes from the record in a file.
+
+    For example: vibrid identify run.csv --inputs hammer --band 0 50 --save run.vibrid.h5
 
     Parameters
     ----------
@@ -84,8 +98,10 @@ def info(file: Path, /, *, reading: Reading = AS_READ, json: Json = False) -> in
     Parameters
     ----------
     file
-        CSV, text, NPY, NPZ, MAT, HDF5, UFF 58, WAV or TDMS.
+        CSV, text, NPY, NPZ, MAT, HDF5, UFF 58, WAV or TDMS; or a model written by --save.
     """
+    if is_fit(file):
+        return _info_of_fit(file, reading, json)
     content = reading.read(file)
     if isinstance(content, FrequencyResponses):
         if json:
@@ -101,6 +117,17 @@ def info(file: Path, /, *, reading: Reading = AS_READ, json: Json = False) -> in
     return DONE
 
 
+def _info_of_fit(file: Path, reading: Reading, as_json: bool) -> int:
+    if reading != AS_READ:
+        raise OptionError(f"{file} holds a saved model; the options for records do not apply.")
+    fit = load(file)
+    if as_json:
+        _print_json(fit_as_json(fit, file.name))
+    else:
+        _print(describe_fit(fit, file.name))
+    return DONE
+
+
 @app.command
 def demo(
     file: Path | None = None,
@@ -113,11 +140,12 @@ def demo(
 ) -> int:
     """Identify two records, a real building and a simulated test; or a file of your own.
 
+    The models are written to ./vibrid-demo, unless --save says otherwise.
+
     Parameters
     ----------
     file
-        Your own record; the options are those of identify. Models go to ./vibrid-demo
-        unless --save says otherwise.
+        Your own record; the options are those of identify. Default: both demos.
     """
     if file is not None:
         target = results.save or demos.demo_folder() / f"{file.stem}.vibrid.h5"
@@ -137,11 +165,17 @@ def demo(
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command and return its exit status: 0, 1 for data, 2 for wrong use, 130."""
-    tokens = spread(list(sys.argv[1:] if arguments is None else arguments))
-    _never_fail_to_encode()
+    _settle_streams()
+    with warnings.catch_warnings():
+        if not os.environ.get(DEBUG):  # what a user should know is a finding or an error
+            warnings.simplefilter("ignore")
+        return _run(list(sys.argv[1:] if arguments is None else arguments))
+
+
+def _run(arguments: list[str]) -> int:
     try:
         status = app(
-            tokens,
+            spread(arguments),
             console=_output(),
             exit_on_error=False,
             print_error=False,
@@ -162,7 +196,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except MemoryError:
         return _fail("Not enough memory; choose fewer channels or a narrower --band.", FAILED)
     except OSError as error:
-        return _fail(f"{error.filename or 'A file'}: {error.strerror or error}.", FAILED)
+        _give_up_output()  # it may be what failed, and would fail again at exit
+        where = f"{error.filename}: " if error.filename else "Reading or writing failed: "
+        return _fail(f"{where}{error.strerror or error}.", FAILED)
     except Exception as error:
         return _bug(error)
 
@@ -239,12 +275,14 @@ def _fail(message: str, status: int) -> int:
 
 
 def _wrong_use(error: CycloptsError) -> str:
+    if isinstance(error, UnknownOptionError) and error.token.value == "-":
+        return "Standard input is not read; write it to a file and give its path."
     if isinstance(error, UnusedCliTokensError):
         rest = " ".join(error.unused_tokens or ())
         return f"Nothing takes the argument {rest!r}; give one FILE, and options by name."
     words = re.sub(r'^Command "[^"]*" parameter ', "", " ".join(str(error).split()))
     words = words.replace("positional arguments. Only got", "values; got")
-    return f"{words} See vibrid {error.command_chain[0] if error.command_chain else ''} --help."
+    return f"{words} See {' '.join(['vibrid', *(error.command_chain or ())])} --help."
 
 
 def _bug(error: Exception) -> int:
@@ -260,11 +298,20 @@ def _bug(error: Exception) -> int:
 
 def _pipe_closed() -> int:
     """End quietly when the reader, such as head, has gone."""
-    os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+    _give_up_output()
     return FAILED
 
 
-def _never_fail_to_encode() -> None:
+def _give_up_output() -> None:
+    with contextlib.suppress(OSError, ValueError):
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+
+
+def _settle_streams() -> None:
+    """Print to nowhere where a stream is closed, and never fail at a letter it cannot encode."""
+    for name in ("stdout", "stderr"):
+        if getattr(sys, name) is None:
+            setattr(sys, name, open(os.devnull, "w"))  # noqa: SIM115
     for stream in (sys.stdout, sys.stderr):
         if hasattr(stream, "reconfigure"):
             stream.reconfigure(errors="replace")

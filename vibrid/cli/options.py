@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import csv
 import dataclasses
 import types
 import typing
@@ -24,6 +25,8 @@ IDENTIFYING = Group("Identifying", sort_key=2)
 METHOD_OPTIONS = Group("Options of the methods named in brackets", sort_key=3)
 RESULTS = Group("Results", sort_key=4)
 
+LARGEST_LOADED = 2**31  # bytes as float64: larger records stay on disk
+
 Names = tuple[str, ...]
 
 
@@ -38,24 +41,53 @@ class Reading:
 
     inputs: Annotated[
         Names | None,
-        _help("Channels that drive the structure: a,b,c or repeated; '' for none."),
+        _help(
+            "Channels that drive the structure: a,b,c or repeated, names with commas in double "
+            "quotes; '' for none. Default: as the file says, else none."
+        ),
     ] = None
-    outputs: Annotated[Names | None, _help("Channels that respond; all others when left out.")] = (
-        None
-    )
-    dt: Annotated[float | None, _help("Sampling interval [s], where the file has none.")] = None
+    outputs: Annotated[
+        Names | None, _help("Channels that respond. Default: all that are not inputs.")
+    ] = None
+    dt: Annotated[float | None, _help("Sampling interval [s]. Default: from the file.")] = None
     channels: Annotated[
-        Path | None, _help("TOML or CSV with name, quantity, unit, dof, sign, delay, role.")
+        Path | None,
+        _help(
+            "TOML or CSV file that describes channels: name, quantity, unit, dof, sign, delay [s], "
+            "role. Default: none."
+        ),
     ] = None
-    quantity: Annotated[Names, _help(f"NAME=QUANTITY, repeated: {', '.join(QUANTITIES)}.")] = ()
-    dof: Annotated[Names, _help("NAME=LABEL of the degree of freedom, repeated.")] = ()
-    unit: Annotated[Names, _help("NAME=UNIT such as m/s2, g, mm or N, repeated.")] = ()
-    variable: Annotated[
-        Names, _help("Array of a MAT, NPZ or HDF5 file, or group of a TDMS file.")
+    quantity: Annotated[
+        Names,
+        _help(
+            f"What a channel measures, NAME=QUANTITY, repeated: {', '.join(QUANTITIES)}. Default: "
+            "by unit, else other."
+        ),
     ] = ()
-    transpose: Annotated[bool, _help("Time runs along the last axis of the arrays.")] = False
+    dof: Annotated[
+        Names,
+        _help(
+            "Degree of freedom, NAME=LABEL, repeated; joins sensors and forces at one point. "
+            "Default: from the file, else none."
+        ),
+    ] = ()
+    unit: Annotated[
+        Names,
+        _help("Unit, NAME=UNIT, repeated, such as m/s2, g, mm or N. Default: from the file."),
+    ] = ()
+    variable: Annotated[
+        Names,
+        _help(
+            "Array of a MAT, NPZ or HDF5 file, or group of a TDMS file, that holds the signals. "
+            "Default: the only one."
+        ),
+    ] = ()
+    transpose: Annotated[
+        bool,
+        _help("Time runs along the last axis of the arrays. Default: along the first."),
+    ] = False
     correct_delays: Annotated[
-        bool, _help("Shift channels by the delays that --channels states.")
+        bool, _help("Shift channels by the delays [s] that --channels states. Default: no.")
     ] = False
 
     def read(self, file: Path) -> Record | FrequencyResponses:
@@ -73,8 +105,22 @@ class Reading:
             transpose=self.transpose,
         )
         if self.correct_delays and isinstance(content, Record):
-            return content.correct_delays()
+            return loaded(content, "--correct-delays").correct_delays()
         return content
+
+
+def loaded(record: Record, option: str) -> Record:
+    """Return a record in memory, as filters need it, or refuse one that is too large."""
+    if record.is_in_memory:
+        return record
+    size = 8 * record.n_samples * (record.n_inputs + record.n_outputs)
+    if size > LARGEST_LOADED:
+        raise OptionError(
+            f"{option} needs the record in memory, {size / 2**30:.3g} GiB; at most "
+            f"{LARGEST_LOADED / 2**30:g} GiB are loaded. Choose fewer channels (--outputs), leave "
+            f"{option} out, or decimate the file first."
+        )
+    return record.in_memory()
 
 
 @Parameter(name="*", group=IDENTIFYING)
@@ -84,23 +130,43 @@ class Identifying:
 
     band: Annotated[
         tuple[float, float] | None,
-        _help("LOW HIGH [Hz]: filter and decimate to the band of interest."),
+        _help(
+            "LOW HIGH [Hz]: filter and decimate to the band of interest; LOW may be 0. "
+            "Default: all up to half the sampling rate."
+        ),
     ] = None
     method: Annotated[
         str | None,
-        _help(f"{' or '.join(METHODS)}; n4sid when there are inputs, ssi when there are none."),
+        _help(
+            f"{' or '.join(METHODS)}. Default: n4sid when there are inputs, ssi when there are "
+            "none."
+        ),
     ] = None
-    order: Annotated[str, _help("Number of states, or auto.")] = "auto"
+    order: Annotated[
+        str,
+        _help(
+            "Number of states (two for each mode), or auto: chosen from the data. Default: auto."
+        ),
+    ] = "auto"
     offset: Annotated[
-        str, _help("estimate (project a constant out), mean (subtract means) or none.")
+        str,
+        _help(
+            "What to do about constant offsets: estimate (project them out), mean (subtract means) "
+            "or none. Default: estimate."
+        ),
     ] = "estimate"
     stability: Annotated[
-        str, _help(f"What to do about an unstable model: {', '.join(POLICIES)}.")
+        str,
+        _help(
+            f"What to do about an unstable model: {', '.join(POLICIES)}; raise stops with an "
+            "error, project moves its poles inside. Default: raise."
+        ),
     ] = "raise"
     feedthrough: Annotated[
         bool | None,
         _help(
-            "Whether inputs act on outputs at once (D); by quantity when left out.",
+            "Whether inputs act on outputs within the same sample (matrix D). Default: all but "
+            "displacements and velocities.",
             negative="--no-feedthrough",
         ),
     ] = None
@@ -117,12 +183,11 @@ class Identifying:
         """Return the order as a number, or "auto"."""
         if self.order == "auto":
             return "auto"
-        try:
-            return int(self.order)
-        except ValueError:
+        if not self.order.isdecimal() or len(self.order) > 9 or int(self.order) < 1:
             raise OptionError(
                 f"--order must be auto or a whole number, at least 1; got {self.order!r}."
-            ) from None
+            )
+        return int(self.order)
 
 
 @Parameter(name="*", group=RESULTS)
@@ -130,19 +195,30 @@ class Identifying:
 class Results:
     """Where results go."""
 
-    save: Annotated[Path | None, _help("Write the model to this file (HDF5).")] = None
-    json: Annotated[bool, _help("Print one JSON object instead of tables.")] = False
+    save: Annotated[
+        Path | None,
+        _help(
+            "Write the model to this file (HDF5), such as run.vibrid.h5; vibrid info shows it. "
+            "Default: not written."
+        ),
+    ] = None
+    json: Annotated[bool, _help("Print one JSON object instead of tables. Default: tables.")] = (
+        False
+    )
 
 
 def split_names(values: Sequence[str] | None) -> list[str] | None:
-    """Return names given with commas, repeated, or both.
+    """Return names given with commas, repeated, or both; double quotes keep a comma.
 
     >>> split_names(("a,b", "c")), split_names(("",)), split_names(None)
     (['a', 'b', 'c'], [], None)
+    >>> split_names(('"hammer, left",a',))
+    ['hammer, left', 'a']
     """
     if values is None:
         return None
-    return [name.strip() for value in values for name in value.split(",") if name.strip()]
+    rows = csv.reader(values, skipinitialspace=True)
+    return [name.strip() for row in rows for name in row if name.strip()]
 
 
 def pairs(option: str, values: Sequence[str]) -> dict[str, str]:

@@ -9,14 +9,14 @@ from typing import Any
 
 from rich.console import Console
 
-from ..errors import DataError, check_writable
+from ..errors import DataError, PathError, check_writable
 from ..files import save
 from ..files.survey import survey
 from ..fit import Fit
 from ..identification import Assessment, assess, assess_unseen, identify
 from ..record import FrequencyResponses, Record
 from ..reporting import Outcome
-from .options import Identifying, MethodOptions, Reading, given_options, method_of
+from .options import Identifying, MethodOptions, Reading, given_options, loaded, method_of
 
 Progress = Callable[[str, int, int], None]
 
@@ -46,9 +46,17 @@ def identify_file(
         method_of(identifying.method, given)
     if target is not None:
         check_writable(target)
+        _check_kept(target, (file, reading.channels))
     progress("read", 0, 1)
     record = as_record(reading.read(file), file)
     return identify_record(record, identifying, given, target, progress)
+
+
+def _check_kept(target: Path, read: tuple[Path | None, ...]) -> None:
+    """Refuse to write the model over a file that is read."""
+    for path in read:
+        if path is not None and path.exists() and target.exists() and path.samefile(target):
+            raise PathError(f"--save would overwrite {path}, which is read; name another file.")
 
 
 def as_record(content: Record | FrequencyResponses, file: Path) -> Record:
@@ -80,7 +88,7 @@ def identify_record(
     record = source
     if identifying.band is not None:
         progress("filter", 0, 1)
-        record = source.to_band(*identifying.band)
+        record = loaded(source, "--band").to_band(*identifying.band)
     fit = identify(
         record,
         method,

@@ -113,6 +113,11 @@ def _check_signal(arrays: Arrays, name: str) -> None:
     if part.base.dtype.kind not in "iuf":
         kind = "complex numbers" if part.base.dtype.kind == "c" else f"dtype {part.base.dtype}"
         raise DataError(f"{name} in {arrays.path} holds {kind}; a record holds real numbers.")
+    if math.prod(part.shape) < 2:
+        raise FileError(
+            f"{name} in {arrays.path} has the shape {part.shape}; a record needs at least 2 "
+            "samples."
+        )
     if part.shape[0] < max(2, part.n_columns):
         raise FileError(
             f"{name} in {arrays.path} has {part.shape[0]} samples of {part.n_columns} channels "

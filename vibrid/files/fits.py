@@ -21,6 +21,7 @@ from ..statespace import StateSpace
 
 FORMAT = "vibrid-fit"
 VERSION = 1
+HDF5_SIGNATURE = b"\x89HDF\r\n\x1a\n"
 MATRICES = ("A", "B", "C", "D")
 ARRAYS = (
     "kalman_gain",
@@ -28,6 +29,7 @@ ARRAYS = (
     "initial_states",
     "input_offset",
     "output_offset",
+    "feedthrough",
     "singular_values",
     "state_covariance",
 )
@@ -91,6 +93,21 @@ def load(path: str | os.PathLike[str]) -> Fit:
         if isinstance(problem, FileError):
             raise
         raise FileError(f"{source} is not a complete saved fit: {problem}.") from None
+
+
+def is_fit(path: str | os.PathLike[str]) -> bool:
+    """Tell whether a file is one that `save` wrote, by its content."""
+    source = check_readable(path)
+    with source.open("rb") as raw:
+        if raw.read(len(HDF5_SIGNATURE)) != HDF5_SIGNATURE:
+            return False
+    import h5py
+
+    try:
+        with h5py.File(source, "r") as file:
+            return bool(file.attrs.get("format") == FORMAT)
+    except OSError:
+        return False
 
 
 def _write(file: Any, fit: Fit) -> None:

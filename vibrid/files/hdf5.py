@@ -9,6 +9,7 @@ import numpy as np
 
 from ..errors import FileError
 from .arrays import Arrays, table_of
+from .fits import is_fit
 from .tables import Part, Table, reading
 
 HIDDEN = "#"  # MATLAB keeps the contents of cells under #refs#
@@ -23,8 +24,10 @@ def read_hdf5(path: Path, *, variable: Any = None, transpose: bool = False, **_:
     """
     import h5py
 
-    if path.name.endswith(".vibrid.h5"):
-        raise FileError(f"{path} holds a saved model, not a record; load it with load().")
+    if is_fit(path):
+        raise FileError(
+            f"{path} holds a saved model, not a record; see it with load() or vibrid info."
+        )
     with reading(path, "an HDF5 file"):
         file = h5py.File(path, "r")
         try:

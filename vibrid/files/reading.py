@@ -125,9 +125,11 @@ def read_record(
     path = check_readable(path)
     reader = _reader_of(path)
     if variable is not None and reader not in VARIABLE_READERS:
-        raise OptionError(f"{path} has no named arrays or groups; leave variable out.")
+        raise OptionError(f"{path} has no named arrays or groups; leave variable (--variable) out.")
     if transpose and reader not in ARRAY_READERS:
-        raise OptionError(f"transpose applies to NPY, NPZ, MAT and HDF5 files, not to {path}.")
+        raise OptionError(
+            f"transpose (--transpose) applies to NPY, NPZ, MAT and HDF5 files, not to {path}."
+        )
     content = reader(path, variable=variable, transpose=transpose, dt=dt)
     described = {} if channels is None else read_channel_file(Path(channels))
     extra = {"quantity": quantities or {}, "dof": dofs or {}, "unit": units or {}}

@@ -8,8 +8,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ..errors import DataError
 from ..record import Floats, Record
 
+LARGEST_VALUE = 1e100
 CLIPPED_RUN = 3  # equal extreme samples in a row that look clipped
 
 
@@ -84,12 +86,26 @@ def _moments(record: Record) -> _Moments:
     for start, rows in record.chunks():
         if np.isinf(rows).any():
             record.segments()  # names the sample in its error
+        _refuse_huge(record, start, rows)
         _add_chunk(sums, rows)
         _add_gaps(sums, rows)
         last = max(0, record.n_samples - tenth - start)
         _add_tail(sums.first_tenth, rows[: max(0, tenth - start)])
         _add_tail(sums.last_tenth, rows[last:])
     return sums
+
+
+def _refuse_huge(record: Record, start: int, rows: Floats) -> None:
+    """Raise `DataError` for values whose squares would overflow: no sensor gives them."""
+    huge = np.abs(rows) > LARGEST_VALUE
+    if huge.any():
+        row, column = np.argwhere(huge)[0]
+        channel = (*record.input_names, *record.output_names)[column]
+        raise DataError(
+            f"Sample {start + row} of channel {channel} is {rows[row, column]:g}; beyond "
+            f"{LARGEST_VALUE:g} nothing can be computed. Write NaN (leave the cell empty) where a "
+            "sample is missing, or change the unit."
+        )
 
 
 def _add_tail(tail: Floats, rows: Floats) -> None:

@@ -52,7 +52,8 @@ class ChannelSurvey:
 class Survey:
     """What a record holds; `findings` says in plain words what deserves attention.
 
-    `suggested_band_hz` is given when the energy sits far below Nyquist, otherwise None.
+    `suggested_band_hz` is given when the energy sits far below Nyquist, otherwise None;
+    `suggestion` says so in words, otherwise it is empty.
     """
 
     name: str
@@ -64,6 +65,7 @@ class Survey:
     energy_band_hz: Band
     suggested_band_hz: Band | None
     findings: tuple[str, ...] = ()
+    suggestion: str = ""
 
     @property
     def duration(self) -> float:
@@ -114,7 +116,8 @@ def survey(record: Record) -> Survey:
         energy_band(lines, responses),
         suggest_band(lines, responses, is_forced=record.n_inputs > 0),
     )
-    return dataclasses.replace(looked, findings=_findings(looked, valley, share))
+    findings = _findings(looked, valley, share)
+    return dataclasses.replace(looked, findings=findings, suggestion=_suggestion(looked))
 
 
 def _of(statistics: Statistics, k: int) -> dict[str, float]:
@@ -173,13 +176,17 @@ def _findings(survey: Survey, valley: float, share: float) -> tuple[str, ...]:
             f"{share:.0%} of the outputs' energy lies below {valley:.3g} Hz, before the first "
             "valley of the spectrum: drift or quasi-static motion"
         )
-    if survey.suggested_band_hz is not None:
-        low, high = survey.suggested_band_hz
-        said.append(
-            f"what vibrates sits far below the Nyquist frequency of {survey.rate / 2:g} Hz; "
-            f"a band of {low:g} to {high:g} Hz is worth trying (--band {low:g} {high:g})"
-        )
     return tuple(said)
+
+
+def _suggestion(survey: Survey) -> str:
+    if survey.suggested_band_hz is None:
+        return ""
+    low, high = survey.suggested_band_hz
+    return (
+        f"what vibrates sits far below the Nyquist frequency of {survey.rate / 2:g} Hz; "
+        f"a band of {low:g} to {high:g} Hz is worth trying (--band {low:g} {high:g})"
+    )
 
 
 def _channel_findings(channel: ChannelSurvey) -> list[str]:

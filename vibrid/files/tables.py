@@ -19,6 +19,7 @@ DT_AGREEMENT = 1e-3  # a given dt and the file's may differ by 0.1 %
 STEP_TOLERANCE = 1e-3  # of the step: beyond it a time axis is uneven
 LARGEST_ROUNDING = 0.5  # of the step: times printed coarser than this are uneven
 RESOLUTION_SAMPLE = 200
+SHORTEST_DT, LONGEST_DT = 1e-12, 1e9  # s: beyond, a slip of the pen
 
 
 @dataclass(frozen=True, eq=False)
@@ -129,19 +130,25 @@ def settle_dt(path: Path, found: float | None, given: float | None, hint: str = 
     """Return the sampling interval [s]: given, found in the file, or asked for."""
     if given is not None:
         check_positive("dt", given, "s")
+        if not SHORTEST_DT <= given <= LONGEST_DT:
+            raise OptionError(
+                f"dt = {given:g} s is no sampling interval; give seconds from {SHORTEST_DT:g} to "
+                f"{LONGEST_DT:g}."
+            )
         if found is not None and abs(given - found) > DT_AGREEMENT * found:
             raise OptionError(
                 f"dt = {given:g} s disagrees with {path}, whose samples are {found:g} s apart; "
-                "leave dt out or correct the file."
+                "leave dt (--dt) out or correct the file."
             )
         return float(given)
     if found is None:
         raise OptionError(
             f"The sampling interval cannot be known from {path}{hint}; give dt (--dt S)."
         )
-    if not (math.isfinite(found) and found > 0):
+    if not SHORTEST_DT <= found <= LONGEST_DT:
         raise FileError(
-            f"{path} states a sampling interval of {found:g} s; it must be positive. Correct it."
+            f"{path} states a sampling interval of {found:g} s; it must be from {SHORTEST_DT:g} "
+            f"to {LONGEST_DT:g} s. Correct it."
         )
     return found
 

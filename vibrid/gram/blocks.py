@@ -10,6 +10,8 @@ from ..chunks import Segment
 from ..errors import OptionError, check_whole
 from ..record import Floats
 
+CONSTANT_SHARE = 1e-13  # of a row's square sum: what rounding leaves of a constant row
+
 
 @dataclass(frozen=True, eq=False)
 class BlockGram:
@@ -107,51 +109,68 @@ class BlockGram:
 
     def covariances(self) -> Floats:
         """Return Σ z(t) z(t+l)ᵀ over all columns, constants projected out: (n_rows, c, c)."""
-        total = np.zeros_like(self.lags[0])
-        for owner in np.unique(self.owners):
-            mine = self.owners == owner
-            total += self.lags[mine].sum(axis=0)
-            if self.offset == "estimate":
-                rows = self._row_sums(mine)
-                total -= rows[0][:, None] * rows[:, None, :] / self.columns[mine].sum()
+        total = self.lags.sum(axis=0)
+        if self.offset == "estimate":
+            rows = self._row_sums().reshape(len(self._used), self.n_rows, self.n_channels)
+            scaled = rows[:, 0] / self._lengths[:, None]
+            total = total - np.einsum("sa,slb->lab", scaled, rows)
         return np.asarray(total)
 
     def matrix(self) -> Floats:
-        """Return the Gram (n_rows · c, n_rows · c), rows ordered by lag, then channel."""
-        c, n = self.n_channels, self.n_rows
-        total = np.zeros((n * c, n * c))
-        for owner in np.unique(self.owners):
-            mine = self.owners == owner
-            part = self._expanded(mine)
-            if self.offset == "estimate":
-                rows = self._row_sums(mine).ravel()
-                part -= np.outer(rows, rows / self.columns[mine].sum())
-            total += part
-        upper = np.triu(total)
+        """Return the Gram (n_rows · c, n_rows · c), rows ordered by lag, then channel.
+
+        A row that is constant but for rounding in every segment comes out as exact zeros.
+        """
+        upper = self._expanded()
+        if self.offset == "estimate":
+            before = np.diag(upper).copy()
+            rows = self._row_sums()
+            upper -= np.triu((rows / self._lengths[:, None]).T @ rows)
+            still = np.diag(upper) < CONSTANT_SHARE * before
+            upper[still, :] = 0
+            upper[:, still] = 0
         return np.asarray(upper + np.triu(upper, 1).T)
 
-    def _edges(self, mine: np.ndarray[tuple[int], np.dtype[np.bool_]]) -> tuple[Floats, Floats]:
-        # blocks of a segment follow each other, so inner edges cancel
-        chosen = np.flatnonzero(mine)
-        return self.heads[chosen[0]], self.tails[chosen[-1]]
+    @property
+    def _used(self) -> np.ndarray[tuple[int], np.dtype[np.int64]]:
+        """The segments that have columns."""
+        return np.unique(self.owners)
 
-    def _row_sums(self, mine: np.ndarray[tuple[int], np.dtype[np.bool_]]) -> Floats:
-        head, tail = self._edges(mine)
-        first = self.sums[mine].sum(axis=0)
-        return np.vstack([first, first + np.cumsum(tail - head, axis=0)])
+    @property
+    def _lengths(self) -> Floats:
+        """Columns of each used segment."""
+        return np.array([self.columns[self.owners == k].sum() for k in self._used], dtype=float)
 
-    def _expanded(self, mine: np.ndarray[tuple[int], np.dtype[np.bool_]]) -> Floats:
+    def _edges(self) -> tuple[Floats, Floats]:
+        """Return first and last samples of each used segment (n_used, (n_rows − 1) · c).
+
+        Blocks of a segment follow each other, so inner edges cancel.
+        """
+        first = np.searchsorted(self.owners, self._used)
+        last = np.searchsorted(self.owners, self._used, side="right") - 1
+        flat = (len(self._used), (self.n_rows - 1) * self.n_channels)
+        return self.heads[first].reshape(flat), self.tails[last].reshape(flat)
+
+    def _row_sums(self) -> Floats:
+        """Return the sum of every Hankel row over each used segment (n_used, n_rows · c)."""
+        c, used = self.n_channels, len(self._used)
+        head, tail = self._edges()
+        first = np.stack([self.sums[self.owners == k].sum(axis=0) for k in self._used])
+        steps = (tail - head).reshape(used, self.n_rows - 1, c)
+        later = first[:, None, :] + np.cumsum(steps, axis=1)
+        return np.concatenate([first[:, None, :], later], axis=1).reshape(used, -1)
+
+    def _expanded(self) -> Floats:
         """Fill the upper triangle by displacement, one block row from the one above it."""
         c, n = self.n_channels, self.n_rows
-        head, tail = self._edges(mine)
-        first, last = head.ravel(), tail.ravel()
+        head, tail = self._edges()
         gram = np.zeros((n * c, n * c))
-        gram[:c] = self.lags[mine].sum(axis=0).transpose(1, 0, 2).reshape(c, n * c)
+        gram[:c] = self.lags.sum(axis=0).transpose(1, 0, 2).reshape(c, n * c)
         for k in range(n - 1):
             row, below = slice(k * c, (k + 1) * c), slice((k + 1) * c, (k + 2) * c)
             gram[below, (k + 1) * c :] = (
                 gram[row, k * c : -c]
-                + tail[k][:, None] * last[k * c :]
-                - head[k][:, None] * first[k * c :]
+                + tail[:, row].T @ tail[:, k * c :]
+                - head[:, row].T @ head[:, k * c :]
             )
-        return gram
+        return np.triu(gram)

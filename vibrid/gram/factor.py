@@ -92,7 +92,9 @@ def stacked_qr(blocks: Iterator[Floats], n_columns: int) -> Floats:
     return np.vstack([triangle, np.zeros((missing, n_columns))]) if missing else triangle
 
 
-def triangle_of(blocks: Callable[[], Iterator[Floats]], n_columns: int) -> Floats:
+def triangle_of(
+    blocks: Callable[[], Iterator[Floats]], n_columns: int, pivot_limit: float = PIVOT_LIMIT
+) -> Floats:
     """Return the triangle of a tall matrix that `blocks()` yields row block by row block.
 
     By Cholesky of the sum of products where its pivots allow, else by QR in a second pass.
@@ -101,36 +103,43 @@ def triangle_of(blocks: Callable[[], Iterator[Floats]], n_columns: int) -> Float
         gram = np.zeros((n_columns, n_columns))
         for block in blocks():
             gram += block.T @ block
-        triangle, _ = scaled_cholesky(gram)
+        triangle, pivot = scaled_cholesky(gram)
+        if triangle is not None and not pivot > pivot_limit:
+            triangle = None
         return stacked_qr(blocks(), n_columns) if triangle is None else triangle
 
 
 def _streamed_qr(gram: BlockGram, stream: Stream, rows: NDArray[np.int64]) -> Floats:
+    # a shortened Gram has fewer columns than its block rows would allow: take the same
     triangles = (
-        _segment_triangle(stream, segment, rows, gram.n_rows)
-        for segment in gram.segments
-        if segment.length >= gram.n_rows
+        _segment_triangle(
+            stream,
+            gram.segments[owner],
+            rows,
+            gram.n_rows,
+            int(gram.columns[gram.owners == owner].sum()),
+        )
+        for owner in np.unique(gram.owners)
     )
     return stacked_qr(triangles, len(rows))
 
 
 def _segment_triangle(
-    stream: Stream, segment: Segment, rows: NDArray[np.int64], n_rows: int
+    stream: Stream, segment: Segment, rows: NDArray[np.int64], n_rows: int, columns: int
 ) -> Floats:
     """Return the triangle of one segment; a leading column of ones takes the constant out."""
     constant = int(stream.offset == "estimate")
     blocks = (
         np.hstack([np.ones((len(block), constant)), block])
-        for block in _hankel_columns(stream, segment, rows, n_rows)
+        for block in _hankel_columns(stream, segment, rows, n_rows, columns)
     )
     return stacked_qr(blocks, len(rows) + constant)[constant:, constant:]
 
 
 def _hankel_columns(
-    stream: Stream, segment: Segment, rows: NDArray[np.int64], n_rows: int
+    stream: Stream, segment: Segment, rows: NDArray[np.int64], n_rows: int, columns: int
 ) -> Iterator[Floats]:
     step = QR_ASPECT * len(rows)
-    columns = segment.length - n_rows + 1
     for start in range(0, columns, step):
         z = stream.read(segment, start, min(start + step, columns) + n_rows - 1)
         windows = sliding_window_view(z, n_rows, axis=0).transpose(0, 2, 1)

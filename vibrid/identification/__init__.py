@@ -120,7 +120,7 @@ def assess_unseen(record: Record, fit: Fit, share: float = 0.25) -> Assessment |
     """
     cut = round((1 - share) * record.n_samples)
     offset = fit.gram.offset if fit.gram is not None else "estimate"
-    mask = fit.model.D.any(axis=1).tolist() if record.n_inputs else None
+    mask = fit.feedthrough.tolist()
     try:
         twin = identify(
             record.slice(0, cut),

@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ..chunks import Stream
 from ..fit import Finding, Fit
@@ -16,6 +17,7 @@ from ..statespace import StateSpace
 from .equations import Equations, Piece, Unknowns, set_up
 from .modal_basis import modal_basis
 
+OFFSET_SPREAD = 0.1  # of an output's standard deviation: smaller differences are not told
 SPLIT_LENGTH = 10  # in states: pieces shorter than twice this are not split for the check
 
 
@@ -29,6 +31,7 @@ class _Scaled:
     D: Floats
     K: Floats
     innovation: Floats
+    feedthrough: NDArray[np.bool_]
 
 
 def complete(fit: Fit, stream: Stream, completion: str = "auto") -> Fit:
@@ -90,6 +93,7 @@ def _scaled(fit: Fit, stream: Stream) -> _Scaled:
         fit.model.D * u / y[:, None],
         fit.kalman_gain * y,
         fit.innovation_covariance / np.outer(y, y),
+        fit.feedthrough,
     )
 
 
@@ -112,8 +116,8 @@ def _equations(
     basis = modal_basis(A)
     if basis is None:
         return None
-    mask = np.asarray(scaled.D.any(axis=1))
-    return set_up(stream, pieces, A, scaled.C, basis, gain, _weight(scaled.innovation), mask)
+    weight = _weight(scaled.innovation)
+    return set_up(stream, pieces, A, scaled.C, basis, gain, weight, scaled.feedthrough)
 
 
 def _weight(covariance: Floats) -> Floats:
@@ -165,49 +169,53 @@ def _unseen_errors(
             "prediction": _translated(scaled, predicted, simulated, predicted.solve(seen).shared),
         }
         for form, shared in by_form.items():
-            tried = simulated.with_states(shared, unseen)
+            tried = simulated.with_own(shared, unseen)
             errors[form] += float(np.trace(simulated.squares(tried, unseen)))
     return errors
 
 
 def _translated(scaled: _Scaled, source: Equations, target: Equations, shared: Floats) -> Floats:
-    """Return the prediction form's solution as unknowns of the simulation form, or back."""
-    offset, D, B = _physical(scaled, source, shared)
-    return _packed(scaled, target, offset, D, B)
+    """Return the solution of one form as unknowns of the other."""
+    D, B = _physical(scaled, source, shared)
+    return _packed(scaled, target, D, B)
 
 
 def _gain_of(scaled: _Scaled, equations: Equations) -> Floats:
     return scaled.K if equations.predicts else np.zeros_like(scaled.K)
 
 
-def _physical(
-    scaled: _Scaled, equations: Equations, shared: Floats
-) -> tuple[Floats, Floats, Floats]:
-    """Return output offset, D and B of the model; the prediction form solves for B − K D."""
-    K = _gain_of(scaled, equations)
-    constant, D, B = equations.unpack(shared)
-    return (
-        constant + scaled.C @ _steady(scaled.A, K @ constant),
-        D,
-        equations.basis.vectors @ B + K @ D,
-    )
+def _physical(scaled: _Scaled, equations: Equations, shared: Floats) -> tuple[Floats, Floats]:
+    """Return D and B of the model; the prediction form solves for B − K D."""
+    D, B = equations.unpack(shared)
+    return D, equations.basis.vectors @ B + _gain_of(scaled, equations) @ D
 
 
-def _packed(scaled: _Scaled, equations: Equations, offset: Floats, D: Floats, B: Floats) -> Floats:
-    K = _gain_of(scaled, equations)
-    constant = offset - scaled.C @ _steady(scaled.A - K @ scaled.C, K @ offset)
-    modal = np.linalg.solve(equations.basis.vectors, B - K @ D)
-    return equations.pack(constant, D, np.asarray(modal))
+def _packed(scaled: _Scaled, equations: Equations, D: Floats, B: Floats) -> Floats:
+    modal = np.linalg.solve(equations.basis.vectors, B - _gain_of(scaled, equations) @ D)
+    return equations.pack(D, np.asarray(modal))
 
 
-def _steady(A: Floats, drive: Floats) -> Floats:
-    """Return the state that a constant drive holds: (I − A)⁻¹ drive."""
-    return np.asarray(np.linalg.solve(np.eye(len(A)) - A, drive)) if drive.any() else drive
+def _offsets_and_states(
+    scaled: _Scaled, equations: Equations, unknowns: Unknowns
+) -> tuple[Floats, Floats]:
+    """Return output offset (n_segments, p) and initial state (n_segments, n) of each segment.
+
+    The prediction form's constant is what its filter leaves of the offset, and its filter
+    started at rest on data that still held the offset.
+    """
+    A, C, K = scaled.A, scaled.C, _gain_of(scaled, equations)
+    constants, states = equations.constants(unknowns), equations.states(unknowns)
+    if not constants.any() or not K.any():
+        return constants, states
+    eye = np.eye(len(A))
+    offsets = constants + np.linalg.solve(eye - A, K @ constants.T).T @ C.T
+    held = np.linalg.solve(eye - A + K @ C, K @ offsets.T).T
+    return offsets, states - held
 
 
 def _fixed(equations: Equations, scaled: _Scaled) -> Unknowns:
-    shared = _packed(scaled, equations, np.zeros(len(scaled.C)), scaled.D, scaled.B)
-    return equations.with_states(shared)
+    """Return the unknowns with B and D of the state regression."""
+    return equations.with_own(_packed(scaled, equations, scaled.D, scaled.B))
 
 
 def _error_covariance(
@@ -219,7 +227,7 @@ def _error_covariance(
     target = forms[wanted]
     if wanted != form:
         shared = _translated(scaled, forms[form], target, unknowns.shared)
-        unknowns = target.with_states(shared)
+        unknowns = target.with_own(shared)
     return target.covariance(unknowns)
 
 
@@ -234,10 +242,9 @@ def _finished(
 ) -> Fit:
     u, y = stream.input_scale, stream.output_scale
     equations = forms[form]
-    offset, D, B = _physical(scaled, equations, unknowns.shared)
-    # the filter started at rest on data that still held the offset
-    K = _gain_of(scaled, equations)
-    held = _steady(scaled.A - K @ scaled.C, K @ offset)
+    D, B = _physical(scaled, equations, unknowns.shared)
+    offsets, states = _offsets_and_states(scaled, equations, unknowns)
+    lengths = np.array([segment.length for segment in stream.segments], dtype=float)
     simulation = _error_covariance(scaled, forms, form, unknowns, "simulation")
     prediction = _error_covariance(scaled, forms, form, unknowns, "prediction")
     innovation = prediction if prediction is not None else equations.covariance(unknowns)
@@ -245,20 +252,42 @@ def _finished(
         "completion": form,
         **figures,
         "output_weights": equations.weight / y,
-        # rms over outputs of the simulation error over the standard deviation
-        "simulation_error": (
-            np.nan if simulation is None else float(np.sqrt(np.trace(simulation) / len(y)))
-        ),
+        "segment_offsets": stream.centre[stream.n_inputs :] + y * offsets,
+        "simulation_error": _relative_rms(simulation, y / stream.output_deviation),
     }
     model = fit.model
     return replace(
         fit,
         model=StateSpace(model.A, B / u, model.C, y[:, None] * D / u, model.dt),
         innovation_covariance=innovation * np.outer(y, y),
-        initial_states=unknowns.states @ equations.basis.vectors.T - held,
-        output_offset=stream.centre[stream.n_inputs :] + y * offset,
-        diagnostics=fit.diagnostics.joined(figures),
+        initial_states=states,
+        output_offset=stream.centre[stream.n_inputs :] + y * (lengths @ offsets / lengths.sum()),
+        diagnostics=fit.diagnostics.joined(figures, _offset_findings(offsets, prediction)),
     )
+
+
+def _relative_rms(covariance: Floats | None, per_deviation: Floats) -> float:
+    """Return the rms over outputs of an error over the output's standard deviation."""
+    if covariance is None:
+        return np.nan
+    return float(np.sqrt(np.mean(np.diag(covariance) * per_deviation**2)))
+
+
+def _offset_findings(offsets: Floats, innovation: Floats | None) -> list[Finding]:
+    """Say when segments have different offsets: each was given its own."""
+    spread = np.ptp(offsets, axis=0)
+    noise = 0.0 if innovation is None else np.sqrt(np.diag(innovation))
+    apart = int((spread > np.maximum(noise, OFFSET_SPREAD)).sum())
+    if not apart:
+        return []
+    return [
+        Finding(
+            "segment-offsets",
+            "note",
+            f"The offsets of {apart} of {len(spread)} outputs differ between the segments; each "
+            "segment has its own, and simulate() adds their mean.",
+        )
+    ]
 
 
 def _uncompleted(fit: Fit) -> Fit:
@@ -271,6 +300,5 @@ def _uncompleted(fit: Fit) -> Fit:
     )
     return replace(
         fit,
-        initial_states=np.zeros_like(fit.initial_states),
         diagnostics=fit.diagnostics.joined({"completion": "regression"}, [finding]),
     )

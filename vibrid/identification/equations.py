@@ -21,6 +21,7 @@ from ..record import Floats
 from ..statespace import Lifting
 from .modal_basis import ModalBasis
 
+REDUCED_PIVOT = 1e-6  # these normal equations are only taken where they cost few digits
 SOLVE_TOLERANCE = 1e-13  # relative, for the triangles' least squares
 NEGLIGIBLE = 1e-100  # length of a decay that has vanished before its piece begins
 CHUNK_ELEMENTS = 2**21  # of the columns made at a time
@@ -42,12 +43,13 @@ class Unknowns:
     Attributes
     ----------
     shared : array (n_shared,)
-        [offset (p, if any), D where free, B column by column].
-    states : array (n_segments, n)
+        [D where free, B column by column].
+    own : array (n_segments, n + p)
+        Initial state and constant of each segment (n columns where there is no constant).
     """
 
     shared: Floats
-    states: Floats
+    own: Floats
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,7 +68,7 @@ class Equations:
         W with W cov(e) Wᵀ = I.
     feedthrough : array (p,)
         Which outputs have D.
-    constant : 1 with an offset to estimate, else 0
+    constant : 1 with an offset to estimate for every segment, else 0
     predicts : whether the target is the prediction's
     """
 
@@ -90,102 +92,116 @@ class Equations:
 
     @property
     def n_shared(self) -> int:
-        free = int(self.feedthrough.sum()) * self.n_inputs
-        return self.constant * self._p + free + self._n * self.n_inputs
+        return (int(self.feedthrough.sum()) + self._n) * self.n_inputs
 
-    @cached_property
-    def _parts(self) -> tuple[tuple[Floats, Floats, Floats, Floats], ...]:
-        """For each piece (state columns, shared columns, target, what no basis reaches)."""
-        return tuple(self._part(triangle) for triangle in self.triangles)
-
-    def _part(self, triangle: Floats) -> tuple[Floats, Floats, Floats, Floats]:
-        p, n, m, one = self._p, self._n, self.n_inputs, self.constant
-        q = len(triangle) - p
-        top, target, rest = triangle[:q, :q], triangle[:q, q:], triangle[q:, q:]
-        rows = self.weight @ self.rows
-        columns = [np.kron(self.weight, top[:, :one])] if one else []
-        free = np.flatnonzero(self.feedthrough)
-        columns += [np.kron(self.weight[:, [k]], top[:, one : one + m]) for k in free if m]
-        for j in range(m):
-            signals = top[:, one + m + j * n : one + m + (j + 1) * n]
-            columns.append(self.basis.regressors(signals, rows).reshape(p * q, n))
-        states = self.basis.regressors(top[:, q - n :], rows).reshape(p * q, n)
-        shared = np.hstack(columns) if columns else np.zeros((p * q, 0))
-        return states, shared, (target @ self.weight.T).T.ravel(), rest
+    @property
+    def n_own(self) -> int:
+        return self._n + self.constant * self._p
 
     def solve(self, pieces: Sequence[int] | None = None) -> Unknowns:
         """Return the least-squares solution over some or all pieces.
 
-        The state of every segment is projected out before the shared part is solved.
+        What each segment has of its own is projected out before the shared part is solved.
         """
+        if not self.n_shared:
+            return self.with_own(np.zeros(0), pieces)
         left, right = [], []
         for chosen in self._by_segment(pieces):
-            states, shared, target = self._stacked(chosen)
-            rest = _without(states, np.hstack([shared, target[:, None]]))
-            triangle = sla.qr(rest, mode="r", overwrite_a=True, check_finite=False)[0]
-            left.append(triangle[: self.n_shared + 1, :-1])
-            right.append(triangle[: self.n_shared + 1, -1])
-        answer = np.zeros(0)
-        if self.n_shared:
-            answer = sla.lstsq(np.vstack(left), np.concatenate(right), cond=SOLVE_TOLERANCE)[0]
-        return self.with_states(answer, pieces)
+            triangle = self._reduced(chosen)
+            rest = _without(triangle[:, : self.n_own], triangle[:, self.n_own :])
+            left.append(rest[:, :-1])
+            right.append(rest[:, -1])
+        answer = sla.lstsq(np.vstack(left), np.concatenate(right), cond=SOLVE_TOLERANCE)[0]
+        return self.with_own(answer, pieces)
 
-    def with_states(self, shared: Floats, pieces: Sequence[int] | None = None) -> Unknowns:
-        """Return the shared unknowns with the state that fits each segment best."""
+    def with_own(self, shared: Floats, pieces: Sequence[int] | None = None) -> Unknowns:
+        """Return the shared unknowns with the state and constant that fit each segment best."""
         found = []
         for chosen in self._by_segment(pieces):
-            states, columns, target = self._stacked(chosen)
-            unit, size = _unit_columns(states)
-            state = sla.lstsq(unit, target - columns @ shared, cond=SOLVE_TOLERANCE)[0] / size
-            found.append(state)
+            triangle = self._reduced(chosen)
+            unit, size = _unit_columns(triangle[:, : self.n_own])
+            target = triangle[:, -1] - triangle[:, self.n_own : -1] @ shared
+            found.append(sla.lstsq(unit, target, cond=SOLVE_TOLERANCE)[0] / size)
         return Unknowns(shared, np.array(found))
 
     def squares(self, unknowns: Unknowns, pieces: Sequence[int] | None = None) -> Floats:
         """Return Σ e eᵀ (p, p), unweighted, over some or all pieces."""
-        total = np.zeros((self._p, self._p))
-        back = np.linalg.inv(self.weight)
-        for chosen, state in zip(self._by_segment(pieces), unknowns.states, strict=True):
+        p, back = self._p, np.linalg.inv(self.weight)
+        total = np.zeros((p, p))
+        for chosen, own in zip(self._by_segment(pieces), unknowns.own, strict=True):
+            answer = np.concatenate([own, unknowns.shared, [-1.0]])
             for k in chosen:
-                own, columns, target, rest = self._parts[k]
-                missing = target - columns @ unknowns.shared - own @ state
-                error = back @ missing.reshape(self._p, -1)
+                missing = np.stack([rows @ answer for rows in self._weighted_rows(k)])
+                error = back @ missing
+                rest = self.triangles[k][-p:, -p:]
                 total += error @ error.T + rest.T @ rest
         return total
 
-    def _by_segment(self, pieces: Sequence[int] | None) -> list[list[int]]:
-        groups: dict[int, list[int]] = {}
-        for k in range(len(self.pieces)) if pieces is None else pieces:
-            groups.setdefault(self.pieces[k].owner, []).append(k)
-        return list(groups.values())
-
-    def _stacked(self, chosen: Sequence[int]) -> tuple[Floats, Floats, Floats]:
-        parts = [self._parts[k] for k in chosen]
-        return (
-            np.vstack([part[0] for part in parts]),
-            np.vstack([part[1] for part in parts]),
-            np.concatenate([part[2] for part in parts]),
-        )
-
     def covariance(self, unknowns: Unknowns) -> Floats:
         """Return the covariance of the errors, degrees of freedom taken off."""
-        used = (self.n_shared + unknowns.states.size) / self._p
+        used = (self.n_shared + unknowns.own.size) / self._p
         samples = sum(piece.stop - piece.start for piece in self.pieces)
         return self.squares(unknowns) / max(1.0, samples - used)
 
-    def unpack(self, shared: Floats) -> tuple[Floats, Floats, Floats]:
-        """Return offset (p,), D (p, m) and B in modal coordinates (n, m)."""
-        p, m = self._p, self.n_inputs
-        cut = self.constant * p
-        offset = shared[:cut] if cut else np.zeros(p)
-        D = np.zeros((p, m))
-        last = cut + int(self.feedthrough.sum()) * m
-        D[self.feedthrough] = shared[cut:last].reshape(int(self.feedthrough.sum()), m)
-        return offset, D, shared[last:].reshape(m, self._n).T
+    def constants(self, unknowns: Unknowns) -> Floats:
+        """Return the constant of each segment (n_segments, p)."""
+        if not self.constant:
+            return np.zeros((len(unknowns.own), self._p))
+        return unknowns.own[:, self._n :]
 
-    def pack(self, offset: Floats, D: Floats, B: Floats) -> Floats:
+    def states(self, unknowns: Unknowns) -> Floats:
+        """Return the initial state of each segment in model coordinates (n_segments, n)."""
+        return np.asarray(unknowns.own[:, : self._n] @ self.basis.vectors.T)
+
+    def unpack(self, shared: Floats) -> tuple[Floats, Floats]:
+        """Return D (p, m) and B in modal coordinates (n, m)."""
+        m, free = self.n_inputs, int(self.feedthrough.sum())
+        D = np.zeros((self._p, m))
+        D[self.feedthrough] = shared[: free * m].reshape(free, m)
+        return D, shared[free * m :].reshape(m, self._n).T
+
+    def pack(self, D: Floats, B: Floats) -> Floats:
         """Return `shared` of given parts: the inverse of `unpack`."""
-        first = offset if self.constant else offset[:0]
-        return np.concatenate([first, D[self.feedthrough].ravel(), B.T.ravel()])
+        return np.concatenate([D[self.feedthrough].ravel(), B.T.ravel()])
+
+    def _by_segment(self, pieces: Sequence[int] | None) -> list[tuple[int, ...]]:
+        groups: dict[int, list[int]] = {}
+        for k in range(len(self.pieces)) if pieces is None else pieces:
+            groups.setdefault(self.pieces[k].owner, []).append(k)
+        return [tuple(group) for group in groups.values()]
+
+    def _reduced(self, chosen: tuple[int, ...]) -> Floats:
+        """Return the triangle of [own, shared, target] over the outputs of some pieces."""
+        if chosen not in self._triangles:
+            width = self.n_own + self.n_shared + 1
+            self._triangles[chosen] = triangle_of(
+                lambda: (rows for k in chosen for rows in self._weighted_rows(k)),
+                width,
+                REDUCED_PIVOT,
+            )
+        return self._triangles[chosen]
+
+    @cached_property
+    def _triangles(self) -> dict[tuple[int, ...], Floats]:
+        return {}
+
+    def _weighted_rows(self, piece: int) -> Iterator[Floats]:
+        """Yield the rows [own, shared, target] of one weighted output after the other."""
+        n, m, one = self._n, self.n_inputs, self.constant
+        triangle = self.triangles[piece]
+        q = len(triangle) - self._p
+        top, target = triangle[:q, :q], triangle[:q, q:]
+        for weight in self.weight:
+            row = weight[None, :] @ self.rows
+            signals = [
+                self.basis.regressors(top[:, first : first + n], row)[0]
+                for first in range(one + m, q, n)
+            ]
+            direct = np.kron(weight[None, self.feedthrough], top[:, one : one + m])
+            constants = top[:, :one] * weight if one else top[:, :0]
+            yield np.hstack(
+                [signals[-1], constants, direct, *signals[:-1], target @ weight[:, None]]
+            )
 
 
 def _without(columns: Floats, matrix: Floats) -> Floats:

@@ -46,7 +46,6 @@ def settle(fit: Fit, policy: str, method: Any, decomposition: Any) -> Fit:
     finding = Finding("unstable", "warning", f"The model is unstable: {outside}.")
     return replace(
         fit,
-        initial_states=np.zeros_like(fit.initial_states),
         diagnostics=fit.diagnostics.joined({"completion": "regression"}, [finding]),
     )
 

@@ -105,7 +105,10 @@ class N4SID:
         stream, gram = prepare(data, past, future, offset, gram)
         m, p = stream.n_inputs, stream.n_outputs
         if m == 0:
-            raise DataError("N4SID needs inputs; the record has none. Name them, or use SSI.")
+            raise DataError(
+                "N4SID needs inputs; the record has none. Name them (select(), or --inputs), or "
+                "use SSI (--method ssi)."
+            )
         layout = Layout(past, future, m, p, tuple(range(m + p)))
         factor = factorize(gram, stream, layout.rows)
         with one_blas_thread():

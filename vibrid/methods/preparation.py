@@ -10,6 +10,8 @@ from ..gram import BlockGram, reduce
 from ..record import Record
 
 DEFAULT_BLOCK_ROWS = 20  # where no automatic choice was asked for
+SHORTEST = 4  # block rows, past and future together: the smallest sensible horizon
+LARGEST_MATRIX = 2**32  # bytes of the square matrix that is factorized; several live at once
 
 
 def prepare(
@@ -22,31 +24,59 @@ def prepare(
     """Return the open stream and its Gram of `past_rows + future_rows` block rows."""
     stream = data if isinstance(data, Stream) else open_stream(data, offset)
     n_rows = past_rows + future_rows
-    check_length(stream, n_rows)
+    check_length(stream, n_rows, _horizon_words(past_rows, future_rows))
     return stream, reduce(stream, n_rows) if gram is None else gram.shorten(n_rows)
 
 
-def check_length(stream: Stream, n_rows: int) -> None:
-    """Raise `DataError` when the Hankel matrix would have fewer columns than rows."""
+def check_length(stream: Stream, n_rows: int, named: str = "") -> None:
+    """Raise `DataError` when the Hankel matrix has fewer columns than rows, or too many rows.
+
+    `n_rows` counts past and future rows; `named` says how they were given, in words.
+    """
     channels = stream.n_inputs + stream.n_outputs
+    named = named or _horizon_words(n_rows - n_rows // 2, n_rows // 2)
     lengths = [segment.length for segment in stream.segments]
     columns = sum(max(0, length - n_rows + 1) for length in lengths)
-    if columns >= n_rows * channels:
-        return
-    what = f"{stream.n_outputs} outputs"
+    what = _count(stream.n_outputs, "output")
     if stream.n_inputs:
-        what = f"{stream.n_inputs} inputs and {what}"
+        what = f"{_count(stream.n_inputs, 'input')} and {what}"
+    if columns >= n_rows * channels:
+        _check_size(n_rows, channels, f"{named} with {what}")
+        return
     pieces = (
         f"the record has {lengths[0]}"
         if len(lengths) == 1
         else f"the longest of {len(lengths)} pieces has {max(lengths)}"
     )
     most = (max(lengths) + 1) // (2 * (channels + 1))
-    cure = f"Use at most {most} block rows or a longer record." if most else "Record longer."
-    raise DataError(
-        f"block_rows={n_rows / 2:g} with {what} needs at least {n_rows * (channels + 1) - 1} "
-        f"samples; {pieces}. {cure}"
-    )
+    cure = f"Use at most {most} block rows or a longer record."
+    if 2 * most < SHORTEST:
+        least = SHORTEST * (channels + 1) - 1
+        cure = (
+            f"Record at least {least} samples in one piece, enough for 2 block rows; better more."
+        )
+    needed = n_rows * (channels + 1) - 1
+    raise DataError(f"{named} with {what} needs at least {needed} samples; {pieces}. {cure}")
+
+
+def _check_size(n_rows: int, channels: int, what: str) -> None:
+    """Raise `DataError` before a matrix is made that no memory holds."""
+    size = 8 * (n_rows * channels) ** 2
+    if size > LARGEST_MATRIX:
+        most = int((LARGEST_MATRIX / 8) ** 0.5) // (2 * channels)
+        raise DataError(
+            f"{what} makes a matrix of {size / 2**30:.3g} GiB; at most {LARGEST_MATRIX / 2**30:g} "
+            f"GiB are tried. Use at most {most} block rows, or fewer channels."
+        )
+
+
+def _horizon_words(past_rows: int, future_rows: int) -> str:
+    words = f"block_rows={future_rows}"
+    return words if past_rows == future_rows else f"{words} and past_rows={past_rows}"
+
+
+def _count(number: int, word: str) -> str:
+    return f"{number} {word}{'' if number == 1 else 's'}"
 
 
 def horizon(block_rows: int | None, past_rows: int | None) -> tuple[int, int]:

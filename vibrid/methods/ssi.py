@@ -96,8 +96,8 @@ class SSI:
         stream, gram = prepare(data, past, future, offset, gram)
         if stream.n_inputs:
             raise DataError(
-                f"SSI takes outputs alone; the record has {stream.n_inputs} inputs. Drop them "
-                "with select(inputs=[]), or use N4SID."
+                f"SSI takes outputs alone; the record has {stream.n_inputs} inputs. Leave them out "
+                "(select(inputs=[]), or --inputs '' with --outputs), or use N4SID (--method n4sid)."
             )
         channels = stream.records[0].output_channels
         layout = Layout(past, future, 0, len(channels), self._past_channels(stream.records[0]))

@@ -12,6 +12,7 @@ from .signals import Floats
 
 SHIFT_HALF_WIDTH = 32  # taps on each side of the fractional delay
 SHIFT_KAISER_BETA = 8.0  # about 80 dB
+LOWEST_EDGE = 1e-6  # of the Nyquist frequency: below, rounding makes the filter singular
 PASSED_SHARE = 0.8  # of the new Nyquist frequency that decimation leaves untouched
 LARGEST_STAGE = 12  # SciPy advises to decimate by more than this in stages
 # odd, so that a constant passes exactly; 65 dB (both ways) where aliases reach the passed band
@@ -54,6 +55,11 @@ def butterworth(low_hz: float, high_hz: float, dt: float, order: int) -> Floats:
     check_band(low_hz, high_hz, nyquist)
     if low_hz == 0 and high_hz >= nyquist:
         raise OptionError(f"0 to {high_hz:g} Hz is the whole band to Nyquist; nothing to filter.")
+    if 0 < low_hz < LOWEST_EDGE * nyquist:
+        raise OptionError(
+            f"The band begins at {low_hz:g} Hz; it must begin at 0 or at least at "
+            f"{LOWEST_EDGE * nyquist:g} Hz, {LOWEST_EDGE:g} of the Nyquist frequency."
+        )
     if high_hz >= nyquist:
         return np.asarray(signal.butter(order, low_hz, "highpass", fs=1 / dt, output="sos"))
     if low_hz == 0:
@@ -70,7 +76,7 @@ def zero_phase(x: Floats, sections: Floats) -> Floats:
         if len(piece) <= shortest:
             raise DataError(
                 f"A piece of {len(piece)} samples is too short to filter: more than {shortest} "
-                "are needed. Drop it or use a lower filter_order."
+                "are needed. Use a longer record, or one with fewer gaps."
             )
         return np.asarray(signal.sosfiltfilt(sections, piece, axis=0))
 
@@ -87,7 +93,8 @@ def decimate(x: Floats, factor: int) -> Floats:
             if len(piece) <= shortest:
                 raise DataError(
                     f"A piece of {len(piece)} samples is too short to decimate by {stage}: more "
-                    f"than {shortest} are needed. Drop it or use a smaller factor."
+                    f"than {shortest} are needed. Use a smaller factor (a --band that ends "
+                    "higher), or a longer record."
                 )
             edge = PASSED_SHARE / stage
             sections = signal.cheby1(DECIMATION_ORDER, DECIMATION_RIPPLE_DB, edge, output="sos")

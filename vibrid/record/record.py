@@ -327,7 +327,7 @@ class Record:
         if not self.is_in_memory:
             raise OptionError(
                 f"To {what}, the record must be in memory; call in_memory() first, or on a part: "
-                "record.slice(start, stop).in_memory()."
+                "record.slice(start, stop).in_memory(). On the command line, choose fewer channels."
             )
 
 
@@ -341,8 +341,9 @@ def _check_shapes(y: Signal, u: Signal) -> None:
         )
     if y.shape[0] < y.shape[1]:
         raise DataError(
-            f"outputs have {y.shape[0]} samples of {y.shape[1]} channels: time is axis 0. "
-            "Pass the transposed array."
+            f"outputs have {y.shape[0]} sample{'s' * (y.shape[0] != 1)} of {y.shape[1]} channels: "
+            "time is axis 0, and a record needs at least as many samples as channels. The record "
+            "is too short, or the array must be transposed."
         )
 
 

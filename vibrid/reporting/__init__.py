@@ -1,15 +1,17 @@
 """What was found, as tables for the terminal and as plain values for JSON."""
 
-from .as_json import outcome_as_json, responses_as_json, survey_as_json
+from .as_json import fit_as_json, outcome_as_json, responses_as_json, survey_as_json
 from .information import describe_record, describe_responses
 from .outcome import Outcome, Reference
-from .summary import summary
+from .summary import describe_fit, summary
 
 __all__ = [
     "Outcome",
     "Reference",
+    "describe_fit",
     "describe_record",
     "describe_responses",
+    "fit_as_json",
     "outcome_as_json",
     "responses_as_json",
     "summary",

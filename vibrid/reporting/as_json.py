@@ -13,8 +13,9 @@ import numpy as np
 from ..files.survey import Survey
 from ..fit import Fit
 from ..identification import Assessment
+from ..modes import modes_of
 from ..record import Channel, FrequencyResponses, Record
-from .outcome import Outcome
+from .outcome import Outcome, method_name
 
 
 def plain(value: Any) -> Any:
@@ -52,6 +53,7 @@ def outcome_as_json(outcome: Outcome) -> dict[str, Any]:
         "band": {
             "used_hz": outcome.band,
             "suggested_hz": outcome.survey.suggested_band_hz,
+            "suggestion": outcome.survey.suggestion,
             "why": outcome.band_reason,
             "n_samples": outcome.record.n_samples,
             "dt": outcome.record.dt,
@@ -61,7 +63,7 @@ def outcome_as_json(outcome: Outcome) -> dict[str, Any]:
         "modes_outside_band": outcome.modes.n_modes - len(outcome.listed),
         "real_poles": outcome.modes.real_poles,
         "fit": {"seen": _score(outcome.seen), "unseen": _score(outcome.unseen)},
-        "findings": outcome.fit.diagnostics.findings,
+        "findings": outcome.findings,
         "saved": outcome.saved,
     }
     if outcome.reference is not None:
@@ -100,6 +102,36 @@ def responses_as_json(responses: FrequencyResponses, name: str) -> dict[str, Any
                 "references": responses.input_channels,
                 "responses": responses.output_channels,
                 "has_coherence": responses.coherence is not None,
+            }
+        )
+    )
+
+
+def fit_as_json(fit: Fit, name: str) -> dict[str, Any]:
+    """Return what `vibrid info` says of a saved model."""
+    modes, method = modes_of(fit), method_name(fit)
+    return dict(
+        plain(
+            {
+                "kind": "model",
+                "name": name,
+                "method": method,
+                "options": fit.method,
+                "order": fit.order,
+                "dt": fit.model.dt,
+                "inputs": fit.input_channels,
+                "outputs": fit.output_channels,
+                "modes": [
+                    {
+                        "frequency_hz": modes.frequencies_hz[k],
+                        "damping_ratio": modes.damping_ratios[k],
+                        "phase_collinearity": modes.phase_collinearity[k],
+                        "shape": modes.shapes[:, k],
+                    }
+                    for k in range(modes.n_modes)
+                ],
+                "real_poles": modes.real_poles,
+                "findings": fit.diagnostics.findings,
             }
         )
     )

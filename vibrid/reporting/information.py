@@ -44,9 +44,10 @@ def describe_record(survey: Survey, record: Record) -> Group:
         heading("Spectrum"),
         *_spectrum(survey),
     ]
-    if survey.findings:
+    said = (*survey.findings, survey.suggestion) if survey.suggestion else survey.findings
+    if said:
         parts += [Text(""), heading("Worth attention")]
-        parts += [line(finding[0].upper() + finding[1:] + ".") for finding in survey.findings]
+        parts += [line(sentence[0].upper() + sentence[1:] + ".") for sentence in said]
     return Group(*parts)
 
 

@@ -9,12 +9,14 @@ from pathlib import Path
 import numpy as np
 
 from ..files.survey import Survey
-from ..fit import Fit
+from ..fit import Finding, Fit
 from ..identification import Assessment
 from ..methods import METHODS
 from ..modes import Modes, modes_of
 from ..record import Floats, Record
 
+WORSE_UNSEEN = 10.0  # points of fit: beyond, the unseen part is not explained as well
+WEAK_UNSEEN = 0.2  # of the standard deviation before: noise decides over such a part
 STEADY_SHARE = 0.5  # of the orders: a mode seen in fewer is marked as doubtful
 
 Band = tuple[float, float]
@@ -95,7 +97,51 @@ class Outcome:
     @property
     def method_name(self) -> str:
         """The method's name on the command line."""
-        return next(name for name, kind in METHODS.items() if type(self.fit.method) is kind)
+        return method_name(self.fit)
+
+    @cached_property
+    def findings(self) -> tuple[Finding, ...]:
+        """The findings of the fit, and what the scores say about it."""
+        more = () if self.unseen_finding is None else (self.unseen_finding,)
+        return (*self.fit.diagnostics.findings, *more)
+
+    @cached_property
+    def unseen_finding(self) -> Finding | None:
+        """Why the unseen part fits much worse than the seen one; None where it does not."""
+        if self.seen is None or self.unseen is None:
+            return None
+        worse = float(self.seen.fit_percent.mean() - self.unseen.fit_percent.mean())
+        if not worse > WORSE_UNSEEN:
+            return None
+        strength = self._unseen_strength(self.unseen)
+        if strength < WEAK_UNSEEN:
+            return Finding(
+                "weak-unseen",
+                "note",
+                f"The unseen part fits {worse:.0f} points worse, but it moves only "
+                f"{100 * strength:.2g} % as strongly as the part before it: noise and small errors "
+                "weigh more.",
+                "Judge the model by a stretch that moves.",
+            )
+        return Finding(
+            "worse-unseen",
+            "doubt",
+            f"The unseen part fits {worse:.0f} points worse: the model is overfitted or the "
+            "structure behaves differently there.",
+            "Try a lower --order, a --band, or another stretch.",
+        )
+
+    def _unseen_strength(self, unseen: Assessment) -> float:
+        """Return the standard deviation in the unseen part over that before, median of outputs.
+
+        NaN where the unseen part does not belong to the record.
+        """
+        cut, end = (round(t / self.record.dt) for t in (unseen.start, unseen.stop))
+        if end > self.record.n_samples or cut < 2:
+            return float("nan")
+        before = np.nanstd(self.record.outputs[:cut], axis=0)
+        after = np.nanstd(self.record.outputs[cut:end], axis=0)
+        return float(np.median(after / np.where(before > 0, before, np.nan)))
 
     def is_steady(self, mode: int) -> bool:
         """Return whether a mode appears in at least half of the orders (or nobody looked)."""
@@ -121,3 +167,8 @@ class Outcome:
             mode is not None and abs(f[mode] / each - 1) <= limit
             for mode, each in zip(self.reference_pairs, self.reference.frequencies_hz, strict=True)
         )
+
+
+def method_name(fit: Fit) -> str:
+    """Return the name of a fit's method on the command line."""
+    return next(name for name, kind in METHODS.items() if type(fit.method) is kind)

@@ -12,9 +12,11 @@ from rich.table import Table
 from rich.text import Text
 
 from ..files.survey import Survey
+from ..fit import Finding, Fit
 from ..identification import Assessment
+from ..modes import Modes, modes_of
 from ..record import Channel, Floats
-from .outcome import STEADY_SHARE, Outcome
+from .outcome import STEADY_SHARE, Outcome, method_name
 from .words import (
     add,
     change,
@@ -44,6 +46,33 @@ def summary(outcome: Outcome) -> Group:
     return Group(*parts[:-1])
 
 
+def describe_fit(fit: Fit, name: str) -> Group:
+    """Return what a saved model holds: method, order, channels, modes, findings."""
+    modes, findings = modes_of(fit), fit.diagnostics.findings
+    rate = f" at {1 / fit.model.dt:.6g} Hz" if fit.model.dt else ""
+    parts: list[RenderableType] = [
+        heading(name),
+        line(
+            f"a saved model{rate}: order {fit.order}, method={method_name(fit)} ({_options(fit)})"
+        ),
+    ]
+    for role, channels in (("input", fit.input_channels), ("output", fit.output_channels)):
+        if channels:
+            parts.append(line(_side(role, channels)))
+    parts += [Text(""), heading("Modes" if modes.n_modes else "Modes: none")]
+    if modes.n_modes:
+        columns = _mode_columns(modes, list(range(modes.n_modes)))
+        made = table(*columns)
+        for row in zip(*columns.values(), strict=True):
+            add(made, *row)
+        parts.append(indented(made))
+    if len(modes.real_poles):
+        parts.append(line(_real_poles(modes.real_poles)))
+    if findings:
+        parts += [Text(""), heading("Findings"), *map(_finding, findings)]
+    return Group(*parts)
+
+
 def _read(outcome: Outcome) -> Iterator[RenderableType]:
     source, survey = outcome.source, outcome.survey
     yield heading("Read")
@@ -52,7 +81,8 @@ def _read(outcome: Outcome) -> Iterator[RenderableType]:
         if channels:
             yield line(_side(role, channels))
     yield from _band(outcome)
-    for remark in remarks(survey, suggest=outcome.band is None):
+    suggestion = (survey.suggestion,) if survey.suggestion and outcome.band is None else ()
+    for remark in (*survey.findings, *suggestion):
         yield line(f"! {remark}")
 
 
@@ -66,11 +96,6 @@ def _gaps(survey: Survey) -> str:
     return f"{plural(survey.n_gaps, 'gap')} of together {survey.missing_duration:.4g} s"
 
 
-def remarks(survey: Survey, *, suggest: bool) -> list[str]:
-    """Return the survey's findings, without the suggested band where one is used."""
-    return [each for each in survey.findings if suggest or "(--band " not in each]
-
-
 def _band(outcome: Outcome) -> Iterator[RenderableType]:
     if outcome.band is not None:
         low, high = outcome.band
@@ -80,13 +105,9 @@ def _band(outcome: Outcome) -> Iterator[RenderableType]:
 
 
 def _chosen(outcome: Outcome) -> Iterator[RenderableType]:
-    fit, figures = outcome.fit, outcome.fit.diagnostics.figures
+    figures = outcome.fit.diagnostics.figures
     yield heading("Chosen")
-    options = ", ".join(
-        f"{field.name}={_value(getattr(fit.method, field.name))}"
-        for field in dataclasses.fields(fit.method)
-        if getattr(fit.method, field.name) is not None
-    )
+    options = _options(outcome.fit)
     yield line(f"method={outcome.method_name} {outcome.method_reason} ({options})")
     for reason in figures.get("choices", ()):
         yield line(reason)
@@ -94,6 +115,14 @@ def _chosen(outcome: Outcome) -> Iterator[RenderableType]:
         why = figures.get("completion_reason")
         because = f": {why}" if why else ""
         yield line(f"B, D and initial states by {figures['completion']}{because}")
+
+
+def _options(fit: Fit) -> str:
+    return ", ".join(
+        f"{field.name}={_value(getattr(fit.method, field.name))}"
+        for field in dataclasses.fields(fit.method)
+        if getattr(fit.method, field.name) is not None
+    )
 
 
 def _value(value: object) -> str:
@@ -124,7 +153,18 @@ def _modes(outcome: Outcome) -> Iterator[RenderableType]:
 
 
 def _mode_table(outcome: Outcome) -> Table:
-    modes, share, listed = outcome.modes, outcome.persistence, list(outcome.listed)
+    share, listed = outcome.persistence, list(outcome.listed)
+    columns = _mode_columns(outcome.modes, listed)
+    if share is not None:
+        columns["seen in"] = [number(100 * share[k], ".0f") + " %" for k in listed]
+        columns[" "] = ["" if outcome.is_steady(k) else "?" for k in listed]
+    made = table(*columns)
+    for k, row in zip(listed, zip(*columns.values(), strict=True), strict=True):
+        add(made, *row, style="" if outcome.is_steady(k) else "dim")
+    return made
+
+
+def _mode_columns(modes: Modes, listed: list[int]) -> dict[str, list[str]]:
     f_std, damping_std = modes.frequencies_std[listed], modes.damping_std[listed]
     digits = frequency_digits(modes.frequencies_hz[listed])
     columns: dict[str, list[str]] = {"#": [str(k + 1) for k in range(len(listed))]}
@@ -135,13 +175,7 @@ def _mode_table(outcome: Outcome) -> Table:
     if np.isfinite(damping_std).any():
         columns["± [%]"] = [number(100 * s, ".2g") for s in damping_std]
     columns["MPC"] = [number(c, ".3f") for c in modes.phase_collinearity[listed]]
-    if share is not None:
-        columns["seen in"] = [number(100 * share[k], ".0f") + " %" for k in listed]
-        columns[" "] = ["" if outcome.is_steady(k) else "?" for k in listed]
-    made = table(*columns)
-    for k, row in zip(listed, zip(*columns.values(), strict=True), strict=True):
-        add(made, *row, style="" if outcome.is_steady(k) else "dim")
-    return made
+    return columns
 
 
 def frequency_digits(frequencies_hz: Floats) -> int:
@@ -213,6 +247,8 @@ def _fit(outcome: Outcome) -> Iterator[RenderableType]:
     names = outcome.record.output_names
     if 1 < len(names) <= MOST_OUTPUTS:
         yield indented(_fit_table(names, shown))
+    if outcome.unseen_finding is not None:
+        yield _finding(outcome.unseen_finding)
 
 
 def _assessment(outcome: Outcome, assessment: Assessment) -> str:
@@ -248,8 +284,12 @@ def _findings(outcome: Outcome) -> Iterator[RenderableType]:
         return
     yield heading("Findings")
     for finding in findings:
-        style = "yellow" if finding.severity == "warning" else ""
-        yield line(f"{finding.severity}: {finding}", style)
+        yield _finding(finding)
+
+
+def _finding(finding: Finding) -> RenderableType:
+    style = "yellow" if finding.severity == "warning" else ""
+    return line(f"{finding.severity}: {finding}", style)
 
 
 def _saved(outcome: Outcome) -> Iterator[RenderableType]:

@@ -161,12 +161,16 @@ class Subspace:
 
     def _horizon_cost(self, model: Realization, gain: Floats, steps: Sequence[int]) -> float:
         """Return the mean over the steps of log det of the covariance of y − ŷ."""
-        R, total = self.factor.triangle, 0.0
+        R, p = self.factor.triangle, self.layout.n_outputs
         responses = _responses(model, gain, max(steps))
-        for step in steps:
-            error = R @ self._error_map(model, responses, step)
-            if not np.isfinite(error).all():
-                return np.inf
+        # one product for all steps: reading R is what it costs
+        maps = [self._error_map(model, responses, step) for step in steps]
+        errors = R @ np.hstack(maps)
+        if not np.isfinite(errors).all():
+            return np.inf
+        total = 0.0
+        for k, step in enumerate(steps):
+            error = errors[:, k * p : (k + 1) * p]
             floor = NOISE_FREE**2 * np.diag((R[:, self.layout.outputs(step)] ** 2).sum(axis=0))
             total += np.linalg.slogdet((error.T @ error + floor) / self.n_columns)[1]
         return total / len(steps)

@@ -31,6 +31,7 @@ def as_fit(method: object, subspace: Subspace, found: Realization) -> Fit:
         segments=stream.segments,
         input_offset=stream.centre[:m],
         output_offset=stream.centre[m:],
+        feedthrough=subspace.feedthrough,
         method=method,
         order=len(found.A),
         singular_values=subspace.singular_values,

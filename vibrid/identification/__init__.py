@@ -15,9 +15,10 @@ from ..methods import METHODS, N4SID, SSI
 from ..modes import modes_of
 from ..record import Record
 from .assessment import Assessment, assess, assess_last
-from .choice import Choice, OrderScan, Progress, choose, scan_orders, steady_modes
+from .choice import Choice, Progress, choose
 from .completion import complete
 from .finishing import finish
+from .scan import OrderScan, scan_orders, steady_modes
 from .stability import POLICIES
 
 __all__ = [
@@ -165,8 +166,9 @@ def _with_reasons(fit: Fit, stream: Stream, choice: Choice) -> Fit:
 def _memory_findings(fit: Fit) -> list[Finding]:
     figures = fit.diagnostics.figures
     memory, rows = figures.get("predictor_memory", 0.0), figures.get("past_rows")
-    # with "auto" the two transitions were compared; shift alone does not suffer
-    if memory <= SHORT_MEMORY or getattr(fit.method, "transition", "") != "regression":
+    # shift invariance does not suffer; with inputs and "auto" the two were compared
+    compared = bool(fit.input_channels) and getattr(fit.method, "transition", "") == "auto"
+    if memory <= SHORT_MEMORY or compared or figures.get("transition") != "regression":
         return []
     return [
         Finding(

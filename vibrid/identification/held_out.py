@@ -43,6 +43,9 @@ def held_out_errors(
             check_length(half, rows)
     except DataError:
         return {}
+    skipped = start_samples(max(orders, default=0))
+    if not all(_scored(half, skipped) for half in halves):
+        return {}
     errors: dict[int, list[float]] = {order: [] for order in orders}
     for seen, unseen in (halves, halves[::-1]):
         decomposition = method.decompose(seen, feedthrough=feedthrough)
@@ -51,7 +54,7 @@ def held_out_errors(
                 continue
             fit = finished(method, decomposition, order, seen, "simulation")
             if fit is not None:
-                errors[order].append(_error(fit, unseen))
+                errors[order].append(_error(fit, unseen, skipped))
     return {order: float(np.mean(each)) for order, each in errors.items() if len(each) == 2}
 
 
@@ -65,6 +68,8 @@ def _halves(stream: Stream) -> tuple[Stream, Stream]:
     """Return the stream of first halves and that of second halves, next to each other."""
     first, second = [], []
     for segment in stream.segments:
+        if segment.length < 2:
+            continue
         (_, middle), _ = folds(segment.length, 2)
         length = min(middle, LONGEST_HALF)
         cut = segment.start + middle
@@ -76,15 +81,16 @@ def _halves(stream: Stream) -> tuple[Stream, Stream]:
     )
 
 
-def _error(fit: Fit, unseen: Stream) -> float:
-    """Return the relative simulation error over all segments long enough to be scored."""
-    skipped = start_samples(fit.order)
+def _scored(unseen: Stream, skipped: int) -> list[Segment]:
+    """Return the segments long enough to be scored: the same ones for every order."""
+    return [segment for segment in unseen.segments if segment.length > 2 * skipped]
+
+
+def _error(fit: Fit, unseen: Stream, skipped: int) -> float:
+    """Return the relative simulation error after the samples that initial states may take."""
     measured, modelled = [], []
-    for segment in unseen.segments:
-        if segment.length > 2 * skipped:
-            piece = unseen.records[segment.record].slice(segment.start, segment.stop)
-            measured.append(np.asarray(piece.outputs[skipped:]))
-            modelled.append(fit.simulate_record(piece)[skipped:])
-    if not measured:
-        return np.inf
+    for segment in _scored(unseen, skipped):
+        piece = unseen.records[segment.record].slice(segment.start, segment.stop)
+        measured.append(np.asarray(piece.outputs[skipped:]))
+        modelled.append(fit.simulate_record(piece)[skipped:])
     return float(1 - fit_percent(np.vstack(measured), np.vstack(modelled)).mean() / 100)

@@ -36,7 +36,9 @@ def check_length(stream: Stream, n_rows: int, named: str = "") -> None:
     channels = stream.n_inputs + stream.n_outputs
     named = named or _horizon_words(n_rows - n_rows // 2, n_rows // 2)
     lengths = [segment.length for segment in stream.segments]
-    columns = sum(max(0, length - n_rows + 1) for length in lengths)
+    used = [length - n_rows + 1 for length in lengths if length >= n_rows]
+    # every further piece spends a column on its own constant
+    columns = sum(used) - (max(0, len(used) - 1) if stream.offset == "estimate" else 0)
     what = _count(stream.n_outputs, "output")
     if stream.n_inputs:
         what = f"{_count(stream.n_inputs, 'input')} and {what}"

@@ -70,10 +70,15 @@ class Subspace:
     @property
     def limit(self) -> str:
         """What the largest order follows from, in words."""
-        layout = self.layout
-        if self.largest_order < layout.largest_order:
+        if self.rank_limited:
             return "the rank of the (nearly noise-free) data"
-        return f"{layout.future_rows} future rows of {layout.n_outputs} outputs"
+        outputs = f"{self.layout.n_outputs} output{'s' if self.layout.n_outputs > 1 else ''}"
+        return f"{self.layout.future_rows} future rows of {outputs}"
+
+    @property
+    def rank_limited(self) -> bool:
+        """Whether singular values beyond the largest order are nothing but rounding."""
+        return self.largest_order < self.layout.largest_order
 
     @property
     def n_columns(self) -> int:

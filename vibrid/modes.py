@@ -18,6 +18,8 @@ from .statespace import StateSpace
 
 Complexes = NDArray[np.complex128]
 
+PAIRING_LIMIT = 1e12  # condition of the products of left and right vectors
+
 # power of λ that turns a displacement shape into what the sensor measures
 DERIVATIVES = {
     "displacement": 0,
@@ -133,12 +135,26 @@ def modes_of(model: Fit | StateSpace) -> Modes:
     shapes = _displacement_shapes(system.C @ vectors[:, chosen], poles, outputs)
     size = shapes[np.argmax(np.abs(shapes), axis=0), np.arange(len(chosen))]
     size = np.where(size == 0, 1, size)
-    # left vectors, because V may be singular where other poles coincide (rigid-body motion)
-    left, right = left[:, chosen].conj().T, vectors[:, chosen]
-    modal = (left @ system.B) / np.sum(left.T * right, axis=0)[:, None]
-    rows = modal * _input_factors(system.dt, values[chosen], inputs) * size[:, None]
+    rows = _modal_inputs(left[:, chosen].conj().T, vectors[:, chosen], system.B)
+    rows = rows * _input_factors(system.dt, values[chosen], inputs) * size[:, None]
     unknown = np.full(len(chosen), np.nan)
     return Modes(poles, shapes / size, rows, real, tuple(outputs), unknown, unknown)
+
+
+def _modal_inputs(left: Complexes, right: Complexes, B: Floats) -> Complexes:
+    """Return the rows of V⁻¹ B that belong to some eigenvectors.
+
+    From left vectors, because all of V may be singular where other poles coincide
+    (rigid-body motion). Those of coinciding poles among these are paired by their own small
+    matrix; where they have no full set of vectors the rows do not exist and are NaN.
+    """
+    pairing, driven = left @ right, left @ B
+    if len(pairing) == 0 or np.linalg.cond(pairing) < PAIRING_LIMIT:
+        return np.asarray(np.linalg.solve(pairing, driven))
+    own = np.diag(pairing)
+    lost = np.abs(own) < 1 / np.sqrt(PAIRING_LIMIT)
+    rows = np.where(lost[:, None], np.nan, driven / np.where(lost, 1, own)[:, None])
+    return np.asarray(rows)
 
 
 def _continuous(values: Complexes, dt: float | None) -> Complexes:
@@ -163,7 +179,7 @@ def _displacement_shapes(
 def _input_factors(dt: float | None, values: Complexes, channels: Sequence[Channel]) -> Complexes:
     """Return what turns rows of V⁻¹ B into continuous time and the inputs' own directions.
 
-    For held inputs λ / (μ − 1) (formulas MKR-0), for band-limited ones 1 / (μ dt).
+    For held inputs λ / (μ − 1) (the exact inverse of the hold), for band-limited ones 1 / (μ dt).
     """
     sign = np.array([channel.sign for channel in channels])
     if dt is None:

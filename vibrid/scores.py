@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from itertools import pairwise
 from typing import Any, Literal
 
@@ -9,6 +10,7 @@ import numpy as np
 import scipy.linalg as sla
 
 from .errors import DataError, check_choice, check_whole
+from .gram import triangle_of
 from .record import Floats
 from .statespace import StateSpace, simulate
 
@@ -16,6 +18,8 @@ InitialRule = Literal["map", "least_squares", "zero"]
 INITIAL_RULES = ("map", "least_squares", "zero")
 SHORTEST_START = 20  # samples a MAP initial state uses at least
 START_PER_ORDER = 3
+START_PIVOT = 1e-6  # normal equations are only taken where they cost few digits
+DECAY_BLOCK = 512  # samples of the free responses made at once
 
 
 def fit_percent(measured: Floats, modelled: Floats) -> Floats:
@@ -96,15 +100,16 @@ def initial_state(
     if rule == "zero":
         return np.zeros(n)
     count = min(len(outputs), start_samples(n)) if rule == "map" else len(outputs)
-    decay = _free_responses(model, count)
     missing = outputs[:count] - model.simulate(inputs[:count])
     root = whitener(error_covariance, outputs)
-    left = np.einsum("tpn,qp->tqn", decay, root).reshape(-1, n)
-    right = (missing @ root.T).ravel()
-    if rule == "map" and prior is not None:
-        left = np.vstack([left, _inverse_root(prior)])
-        right = np.concatenate([right, np.zeros(len(left) - len(right))])
-    return np.asarray(sla.lstsq(left, right, cond=1e-12)[0])
+    known = _inverse_root(prior) if rule == "map" and prior is not None else np.zeros((0, n))
+
+    def rows() -> Iterator[Floats]:
+        yield np.hstack([known, np.zeros((len(known), 1))])
+        yield from _weighted_decay(model, missing, root)
+
+    triangle = triangle_of(rows, n + 1, START_PIVOT)
+    return np.asarray(sla.lstsq(triangle[:, :n], triangle[:, n], cond=1e-12)[0])
 
 
 def carried_state(model: StateSpace, inputs: Floats, state: Floats) -> Floats:
@@ -151,13 +156,20 @@ def _complete_rows(measured: Floats, modelled: Floats) -> tuple[Floats, Floats]:
     return y[good], estimate[good]
 
 
-def _free_responses(model: StateSpace, count: int) -> Floats:
-    """Return C A^t for t < count: (count, n_outputs, n)."""
-    rows = np.empty((count, model.n_outputs, model.order))
-    rows[0] = model.C
-    for t in range(1, count):
-        rows[t] = rows[t - 1] @ model.A
-    return rows
+def _weighted_decay(model: StateSpace, missing: Floats, root: Floats) -> Iterator[Floats]:
+    """Yield rows [W C A^t, W (y − ŷ)] of the initial state's least squares, block by block."""
+    n, p = model.order, model.n_outputs
+    block = np.empty((min(len(missing), DECAY_BLOCK), p, n))
+    row = root @ model.C
+    for t in range(len(block)):
+        block[t] = row
+        row = row @ model.A
+    power, step = np.eye(n), np.linalg.matrix_power(model.A, len(block))
+    for start in range(0, len(missing), len(block)):
+        target = missing[start : start + len(block)] @ root.T
+        decay = block[: len(target)].reshape(-1, n) @ power
+        yield np.hstack([decay, target.reshape(-1, 1)])
+        power = step @ power
 
 
 def whitener(covariance: Floats | None, outputs: Floats) -> Floats:

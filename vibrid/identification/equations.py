@@ -197,10 +197,16 @@ class Equations:
                 self.basis.regressors(top[:, first : first + n], row)[0]
                 for first in range(one + m, q, n)
             ]
-            direct = np.kron(weight[None, self.feedthrough], top[:, one : one + m])
+            direct = weight[None, self.feedthrough, None] * top[:, None, one : one + m]
             constants = top[:, :one] * weight if one else top[:, :0]
             yield np.hstack(
-                [signals[-1], constants, direct, *signals[:-1], target @ weight[:, None]]
+                [
+                    signals[-1],
+                    constants,
+                    direct.reshape(q, -1),
+                    *signals[:-1],
+                    target @ weight[:, None],
+                ]
             )
 
 

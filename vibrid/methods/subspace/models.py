@@ -17,6 +17,7 @@ from ...linalg import one_blas_thread, solve_upper
 from ...record import Floats
 from .layout import Layout
 
+USUAL_ORDERS = 64  # states prepared together; larger orders prepare all there are
 NOISE_FREE = 1e-8  # innovation over output, rms: below it rounding outweighs the noise
 
 
@@ -96,27 +97,41 @@ class Subspace:
         value = self.n_columns * self.prediction_cost(model)
         return value + np.log(self.n_columns) * parameters, model.radius <= STABLE_TO
 
-    @cached_property
-    def _regression(self) -> Floats:
-        """Triangle T of [u(t), x(t), x(t+1), y(t)] for the largest order."""
-        R, layout = self.factor.triangle, self.layout
-        with one_blas_thread():
+    def _width(self, order: int) -> int:
+        """Return how many states are prepared at once for this order: few serve most orders."""
+        return self.largest_order if order > USUAL_ORDERS else min(USUAL_ORDERS, self.largest_order)
+
+    def _regression(self, width: int) -> Floats:
+        """Return the triangle T of [u(t), x(t), x(t+1), y(t)] for orders up to `width`."""
+        if width not in self._regressions:
+            R, layout, J = self.factor.triangle, self.layout, self.state_map[:width].T
             samples = np.hstack(
                 [
                     R[:, layout.inputs(0)],
-                    R[:, layout.past(0)] @ self.state_map.T,
-                    R[:, layout.past(1)] @ self.state_map.T,
+                    R[:, layout.past(0)] @ J,
+                    R[:, layout.past(1)] @ J,
                     R[:, layout.outputs(0)],
                 ]
             )
-            triangle = sla.qr(samples, mode="r", check_finite=False)[0]
-        return np.asarray(triangle[: samples.shape[1]])
+            triangle = np.asarray(sla.qr(samples, mode="r", check_finite=False)[0])
+            self._regressions[width] = triangle[: samples.shape[1]]
+        return self._regressions[width]
+
+    def _nested_shift(self, width: int) -> tuple[Floats, Floats]:
+        """Return R and Qᵀ Γ_down of the QR of Γ_up, for orders up to `width`."""
+        if width not in self._shifts:
+            p, gamma = self.layout.n_outputs, self.gamma[:, :width]
+            Q, upper = sla.qr(gamma[:-p], mode="economic", check_finite=False)
+            self._shifts[width] = upper, Q.T @ gamma[p:]
+        return self._shifts[width]
 
     @cached_property
-    def _nested_shift(self) -> tuple[Floats, Floats]:
-        p = self.layout.n_outputs
-        Q, upper = sla.qr(self.gamma[:-p], mode="economic", check_finite=False)
-        return upper, Q.T @ self.gamma[p:]
+    def _regressions(self) -> dict[int, Floats]:
+        return {}
+
+    @cached_property
+    def _shifts(self) -> dict[int, tuple[Floats, Floats]]:
+        return {}
 
     def realize(self, order: int, transition: str = "auto") -> Realization:
         """Return the model of this order; "auto" takes the transition with less error."""
@@ -204,18 +219,19 @@ class Subspace:
 
     def _split(self, order: int) -> tuple[Floats, Floats, Floats, Floats]:
         """Return the columns u, x, x⁺, y of T for this order."""
-        T, m, largest = self._regression, self.layout.n_inputs, self.largest_order
+        m, width = self.layout.n_inputs, self._width(order)
+        T = self._regression(width)
         return (
             T[:, :m],
             T[:, m : m + order],
-            T[:, m + largest : m + largest + order],
-            T[:, m + 2 * largest :],
+            T[:, m + width : m + width + order],
+            T[:, m + 2 * width :],
         )
 
     def _by_regression(self, order: int) -> Realization:
         u, x, after, y = self._split(order)
         q = self.layout.n_inputs + order
-        regressors = self._regression[:q, :q]
+        regressors = self._regression(self._width(order))[:q, :q]
         AB = solve_upper(regressors, after[:q]).T
         CD = solve_upper(regressors, y[:q]).T
         m = self.layout.n_inputs
@@ -231,7 +247,7 @@ class Subspace:
     def _by_shift(self, order: int) -> Realization:
         u, x, after, y = self._split(order)
         m = self.layout.n_inputs
-        upper, down = self._nested_shift
+        upper, down = self._nested_shift(self._width(order))
         A = solve_upper(upper[:order, :order], down[:order, :order])
         C = self.gamma[: self.layout.n_outputs, :order]
         rest, out = after - x @ A.T, y - x @ C.T

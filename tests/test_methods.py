@@ -355,3 +355,18 @@ def test_decomposition_takes_an_open_stream(rng: np.random.Generator) -> None:
     a = method.decompose(record).singular_values
     b = method.decompose(open_stream(record)).singular_values
     np.testing.assert_array_equal(a, b)
+
+
+@pytest.mark.parametrize("case", CASES, ids=lambda case: case.name)
+def test_units_do_not_matter_with_noise_either(case: Case, rng: np.random.Generator) -> None:
+    """Outputs in units that no power of two relates give the same poles from noisy data."""
+    frame = structure(3)
+    force = white_noise(4000, 3, rng=rng)
+    record = frame.simulate(force, DT, forces=frame.dofs, noise=0.3, rng=rng)
+    u = record.inputs if case.forced else None
+    poles = []
+    for units in (np.ones(3), np.array([1.42, 1.9e3, 0.71e-4])):
+        method = case.make(6)
+        shared = method.decompose(vb.Record(record.outputs * units, u, dt=DT))
+        poles.append(np.sort_complex(method.realize(shared, 6).model.poles))
+    np.testing.assert_allclose(poles[1], poles[0], rtol=1e-8)

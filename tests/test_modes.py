@@ -278,3 +278,34 @@ def test_a_limit_of_zero_is_refused() -> None:
     """No two frequencies agree that well."""
     with pytest.raises(OptionError, match="frequency_limit must be positive; got 0"):
         match_modes(some_modes([1.0]), some_modes([1.0]), frequency_limit=0)
+
+
+@pytest.mark.parametrize("seed", [0, 1, 2])
+def test_participation_of_coinciding_poles_is_exact(seed: int) -> None:
+    """Two equal oscillators, in any basis: residues still add up to the transfer function."""
+    rng = np.random.default_rng(seed)
+    one = np.array([[0.0, 1.0], [-100.0, -0.2]])
+    A = np.kron(np.eye(2), one)
+    B = np.kron(np.array([[1.0, 0.3], [0.2, 1.0]]), [[0.0], [1.0]])
+    C = np.kron(np.eye(2), [[1.0, 0.0]])
+    T = rng.standard_normal((4, 4))
+    system = StateSpace(
+        np.linalg.solve(T, A @ T), np.linalg.solve(T, B), C @ T, np.zeros((2, 2)), None
+    )
+    modes = modes_of(system)
+    frequency = 1.3
+    s = 2j * np.pi * frequency
+    found = sum(
+        np.outer(c, b) / (s - pole) + np.outer(c, b).conj() / (s - pole.conjugate())
+        for c, b, pole in zip(modes.shapes.T, modes.participation, modes.poles, strict=True)
+    )
+    exact = system.frequency_response(np.array([frequency]))[0]
+    np.testing.assert_allclose(found, exact, atol=1e-10 * np.abs(exact).max())
+
+
+def test_defective_poles_have_no_participation() -> None:
+    """A pair of poles with one eigenvector between them has no rows of V⁻¹ B: NaN."""
+    one = np.array([[0.0, 1.0], [-100.0, -0.2]])
+    A = np.block([[one, np.eye(2)], [np.zeros((2, 2)), one]])
+    system = StateSpace(A, np.ones((4, 1)), np.eye(4), np.zeros((4, 1)), None)
+    assert np.isnan(modes_of(system).participation).all()

@@ -67,6 +67,16 @@ class Stream:
         """Standard deviation of each output."""
         return self.deviation[self.n_inputs :]
 
+    @property
+    def output_balance(self) -> Floats:
+        """What makes the scaled outputs' standard deviations exactly one."""
+        return self.output_scale / self.output_deviation
+
+    @property
+    def output_unit(self) -> float:
+        """Geometric mean of the outputs' deviations: the unit of unweighted singular values."""
+        return float(np.exp(np.mean(np.log(self.output_deviation))))
+
     def read(self, segment: Segment, start: int, stop: int) -> Floats:
         """Return samples [start, stop) of a segment, centred and scaled (rows, channels)."""
         rows = self.records[segment.record].read(segment.start + start, segment.start + stop)

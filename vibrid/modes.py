@@ -9,7 +9,6 @@ from typing import Any
 import numpy as np
 import scipy.linalg as sla
 from numpy.typing import NDArray
-from scipy.optimize import linear_sum_assignment
 
 from .errors import DataError, OptionError, check_positive
 from .fit import Fit
@@ -18,7 +17,7 @@ from .statespace import StateSpace
 
 Complexes = NDArray[np.complex128]
 
-PAIRING_LIMIT = 1e12  # condition of the products of left and right vectors
+PAIRING_LIMIT = 1e-12  # of products of unit left and right vectors: below it a pole is defective
 
 # power of λ that turns a displacement shape into what the sensor measures
 DERIVATIVES = {
@@ -149,10 +148,10 @@ def _modal_inputs(left: Complexes, right: Complexes, B: Floats) -> Complexes:
     matrix; where they have no full set of vectors the rows do not exist and are NaN.
     """
     pairing, driven = left @ right, left @ B
-    if len(pairing) == 0 or np.linalg.cond(pairing) < PAIRING_LIMIT:
+    if len(pairing) == 0 or np.linalg.svd(pairing, compute_uv=False)[-1] > PAIRING_LIMIT:
         return np.asarray(np.linalg.solve(pairing, driven))
     own = np.diag(pairing)
-    lost = np.abs(own) < 1 / np.sqrt(PAIRING_LIMIT)
+    lost = np.abs(own) < np.sqrt(PAIRING_LIMIT)
     rows = np.where(lost[:, None], np.nan, driven / np.where(lost, 1, own)[:, None])
     return np.asarray(rows)
 
@@ -264,6 +263,8 @@ def match_modes(
     array (n_pairs, 2)
         Indices into `first` and `second`, ordered by the first.
     """
+    from scipy.optimize import linear_sum_assignment  # slow to import, and used only here
+
     if first.n_modes == 0 or second.n_modes == 0:
         return np.zeros((0, 2), dtype=np.int64)
     check_positive("frequency_limit", frequency_limit)

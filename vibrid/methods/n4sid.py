@@ -7,17 +7,17 @@ from dataclasses import dataclass, field
 
 from ..chunks import Stream
 from ..errors import DataError, check_choice
-from ..fit import Fit, feedthrough_mask
+from ..fit import Fit
 from ..gram import BlockGram, factorize
 from ..linalg import one_blas_thread
-from ..record import Record
+from ..record import Floats, Record
 from .preparation import check_order, horizon, prepare
 from .subspace import (
     Layout,
     Subspace,
     as_fit,
+    assemble,
     oblique_states,
-    output_unit,
     projected_states,
 )
 
@@ -112,26 +112,16 @@ class N4SID:
         layout = Layout(past, future, m, p, tuple(range(m + p)))
         factor = factorize(gram, stream, layout.rows)
         with one_blas_thread():
-            if self.weighting == "n4sid":
-                gamma, state_map, values = oblique_states(factor.triangle, layout)
-            else:
-                gamma, state_map, values = projected_states(
-                    factor.triangle, layout, whiten=self.weighting == "cva"
-                )
-        if self.weighting != "cva":
-            values = values * output_unit(stream)
-        channels = stream.records[0].output_channels
-        return Subspace(
-            layout=layout,
-            factor=factor,
-            stream=stream,
-            gram=gram,
-            gamma=gamma,
-            state_map=state_map,
-            singular_values=values,
-            feedthrough=feedthrough_mask(feedthrough, channels),
-            transition=self.transition,
-        )
+            gamma, state_map, values = self._states(factor.triangle, layout, stream)
+        unit = 1.0 if self.weighting == "cva" else stream.output_unit
+        states = gamma, state_map, values * unit
+        return assemble(stream, gram, layout, factor, states, feedthrough, self.transition)
+
+    def _states(self, R: Floats, layout: Layout, stream: Stream) -> tuple[Floats, Floats, Floats]:
+        if self.weighting == "n4sid":
+            return oblique_states(R, layout, stream.output_balance)
+        whiten = self.weighting == "cva"
+        return projected_states(R, layout, stream.output_balance, whiten=whiten)
 
     def realize(self, decomposition: Subspace, order: int) -> Fit:
         """Return the model of one order; no pass over the data."""

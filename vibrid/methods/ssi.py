@@ -5,17 +5,15 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 
-import numpy as np
-
 from ..chunks import Stream
 from ..errors import DataError, check_choice, check_names
-from ..fit import Fit, feedthrough_mask
+from ..fit import Fit
 from ..gram import BlockGram, factorize
-from ..linalg import divide_by_lower, one_blas_thread
-from ..record import Floats, Record
+from ..linalg import one_blas_thread
+from ..record import Record
 from .n4sid import TRANSITIONS
 from .preparation import check_order, horizon, prepare
-from .subspace import Layout, Subspace, as_fit, kept_svd, output_unit, projected_states
+from .subspace import Layout, Subspace, as_fit, assemble, covariance_states, projected_states
 
 KINDS = ("covariance", "data")
 
@@ -99,29 +97,22 @@ class SSI:
                 f"SSI takes outputs alone; the record has {stream.n_inputs} inputs. Leave them out "
                 "(select(inputs=[]), or --inputs '' with --outputs), or use N4SID (--method n4sid)."
             )
-        channels = stream.records[0].output_channels
-        layout = Layout(past, future, 0, len(channels), self._past_channels(stream.records[0]))
+        outputs = self._past_channels(stream.records[0])
+        layout = Layout(past, future, 0, stream.n_outputs, outputs)
         factor = factorize(gram, stream, layout.rows)
         with one_blas_thread():
             if self.kind == "data":
-                gamma, state_map, values = projected_states(factor.triangle, layout, whiten=False)
-                values = values * output_unit(stream)
-            else:
-                gamma, state_map, values = _covariance_states(
-                    factor.triangle, layout, gram.covariances()
+                gamma, state_map, values = projected_states(
+                    factor.triangle, layout, stream.output_balance, whiten=False
                 )
-                values = values * output_unit(stream) ** 2
-        return Subspace(
-            layout=layout,
-            factor=factor,
-            stream=stream,
-            gram=gram,
-            gamma=gamma,
-            state_map=state_map,
-            singular_values=values,
-            feedthrough=feedthrough_mask(feedthrough, channels),
-            transition=self.transition,
-        )
+                unit = stream.output_unit
+            else:
+                gamma, state_map, values = covariance_states(
+                    factor.triangle, layout, stream.output_balance, gram.covariances()
+                )
+                unit = stream.output_unit**2
+        states = gamma, state_map, values * unit
+        return assemble(stream, gram, layout, factor, states, feedthrough, self.transition)
 
     def realize(self, decomposition: Subspace, order: int) -> Fit:
         """Return the model of one order; no pass over the data."""
@@ -134,19 +125,3 @@ class SSI:
             return tuple(range(len(names)))
         check_names("output", self.references, names)
         return tuple(names.index(name) for name in self.references)
-
-
-def _covariance_states(R: Floats, layout: Layout, lagged: Floats) -> tuple[Floats, Floats, Floats]:
-    """Return Γ, J and singular values from the block Hankel of output covariances."""
-    past = list(layout.past_channels)
-    steps = np.arange(layout.future_rows)[:, None] + np.arange(layout.past_rows) + 1
-    # lagged[l] = Σ y(t) y(t+l)ᵀ, so its transpose is Λ(l); the youngest past sample leads
-    blocks = lagged.transpose(0, 2, 1)[:, :, past][steps]
-    hankel = blocks.transpose(0, 2, 1, 3).reshape(
-        layout.future_rows * layout.n_outputs, layout.past_rows * len(past)
-    )
-    U, s, _ = kept_svd(hankel, layout.largest_order)
-    size = s[: U.shape[1]] ** 0.5
-    b = layout.n_past
-    predictor, _ = divide_by_lower(R[:b, b:].T, R[:b, :b].T)
-    return U * size, (U / size).T @ predictor, s

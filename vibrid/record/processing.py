@@ -1,11 +1,13 @@
-"""Filters on arrays (samples, channels); NaN rows are gaps, and pieces are filtered apart."""
+"""Filters on arrays (samples, channels); NaN rows are gaps, and pieces are filtered apart.
+
+scipy.signal takes a second to import, so the functions that filter import it themselves.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 
 import numpy as np
-from scipy import signal
 
 from ..errors import DataError, OptionError, check_whole
 from .signals import Floats
@@ -50,6 +52,8 @@ def check_band(low_hz: float, high_hz: float, nyquist: float) -> None:
 
 def butterworth(low_hz: float, high_hz: float, dt: float, order: int) -> Floats:
     """Return second-order sections of the band [low_hz, high_hz]."""
+    from scipy import signal
+
     check_whole("filter_order", order, 1, 12)
     nyquist = 0.5 / dt
     check_band(low_hz, high_hz, nyquist)
@@ -70,6 +74,8 @@ def butterworth(low_hz: float, high_hz: float, dt: float, order: int) -> Floats:
 
 def zero_phase(x: Floats, sections: Floats) -> Floats:
     """Filter forward and backward, each piece between gaps apart."""
+    from scipy import signal
+
     shortest = 3 * (2 * len(sections) + 1)
 
     def run(piece: Floats) -> Floats:
@@ -85,6 +91,8 @@ def zero_phase(x: Floats, sections: Floats) -> Floats:
 
 def decimate(x: Floats, factor: int) -> Floats:
     """Low-pass (Chebyshev, zero phase) and keep rows 0, factor, 2 factor, …"""
+    from scipy import signal
+
     for stage in _stages(factor):
         # the filter's own padding is 30 samples
         shortest = max(30, 9 * stage)

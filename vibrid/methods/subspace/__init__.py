@@ -6,17 +6,17 @@ inputs and outputs, W_p past samples, R upper triangle of the Hankel rows [U_f; 
 """
 
 from .layout import Layout
-from .models import Realization, Subspace
+from .models import Realization, Subspace, assemble
 from .result import as_fit
-from .states import kept_svd, oblique_states, output_unit, projected_states
+from .states import covariance_states, oblique_states, projected_states
 
 __all__ = [
     "Layout",
     "Realization",
     "Subspace",
     "as_fit",
-    "kept_svd",
+    "assemble",
+    "covariance_states",
     "oblique_states",
-    "output_unit",
     "projected_states",
 ]

@@ -11,6 +11,7 @@ import scipy.linalg as sla
 from numpy.typing import NDArray
 
 from ...chunks import Stream
+from ...fit import feedthrough_mask
 from ...gram import BlockGram, Factor
 from ...kalman import DETECTABLE, STABLE_TO, riccati_gain, spectral_radius
 from ...linalg import one_blas_thread, solve_upper
@@ -120,7 +121,10 @@ class Subspace:
     def _nested_shift(self, width: int) -> tuple[Floats, Floats]:
         """Return R and Qᵀ Γ_down of the QR of Γ_up, for orders up to `width`."""
         if width not in self._shifts:
-            p, gamma = self.layout.n_outputs, self.gamma[:, :width]
+            p = self.layout.n_outputs
+            # rows weigh by the outputs' deviations, so that units do not
+            weights = np.tile(self.stream.output_balance, self.layout.future_rows)[:, None]
+            gamma = weights * self.gamma[:, :width]
             Q, upper = sla.qr(gamma[:-p], mode="economic", check_finite=False)
             self._shifts[width] = upper, Q.T @ gamma[p:]
         return self._shifts[width]
@@ -285,6 +289,29 @@ class Subspace:
                 gain = "Riccati" if found else "none: no stable predictor"
                 K, innovation = found or (np.zeros_like(K), innovation)
         return Realization(A, B, C, D, K, innovation, x.T @ x / samples, transition, gain)
+
+
+def assemble(
+    stream: Stream,
+    gram: BlockGram,
+    layout: Layout,
+    factor: Factor,
+    states: tuple[Floats, Floats, Floats],
+    feedthrough: bool | Sequence[bool] | None,
+    transition: str,
+) -> Subspace:
+    """Return the decomposition of Γ, J and singular values found from the factor."""
+    return Subspace(
+        layout=layout,
+        factor=factor,
+        stream=stream,
+        gram=gram,
+        gamma=states[0],
+        state_map=states[1],
+        singular_values=states[2],
+        feedthrough=feedthrough_mask(feedthrough, stream.records[0].output_channels),
+        transition=transition,
+    )
 
 
 def _responses(model: Realization, gain: Floats, count: int) -> tuple[Floats, Floats, Floats]:

@@ -81,7 +81,10 @@ def assess_last(twin: Fit, record: Record, cut: int) -> Assessment:
         if start not in known:
             scored[start : start + start_samples(twin.order)] = False
     modelled = _modelled(twin, record, initial)
-    return _scores(twin, record, modelled, scored, "state carried over", seen=False)
+    rule = "state carried over"
+    if any(start not in known for start in starts):
+        rule += ", and by MAP after each gap (those samples are not scored)"
+    return _scores(twin, record, modelled, scored, rule, seen=False)
 
 
 def _modelled(fit: Fit, record: Record, initial: InitialRule | Floats) -> Floats:

@@ -13,6 +13,7 @@ from ..kalman import DETECTABLE, STABLE_TO, spectral_radius
 from ..record import Floats
 
 NEIGHBOURS = 12  # orders above and below that the error message tries
+NEAR_CIRCLE = 1e-4  # magnitudes closer to 1 are shown by their excess
 INSIDE = 1 - 1e-9  # a projected pole stays at least this far from the circle
 
 POLICIES = ("raise", "project", "ignore")
@@ -38,12 +39,17 @@ def settle(fit: Fit, policy: str, method: Any, decomposition: Any) -> Fit:
         near = _stable_orders(method, decomposition, fit.order)
         raise UnstableModelError(
             f"The model of order {fit.order} is unstable: {outside}. "
-            + (f"Orders {near} are stable; or u" if near else "U")
+            + (f"{near}; or u" if near else "U")
             + 'se other block_rows, or stability="project" (--stability project).'
         )
     if policy == "project":
         return _projected(fit, outside)
-    finding = Finding("unstable", "warning", f"The model is unstable: {outside}.")
+    finding = Finding(
+        "unstable",
+        "warning",
+        f"The model is unstable: {outside}. B, D and "
+        "offsets are those of the state regression, and initial states were not estimated.",
+    )
     return replace(
         fit,
         diagnostics=fit.diagnostics.joined({"completion": "regression"}, [finding]),
@@ -57,11 +63,13 @@ def _worst_pole(fit: Fit) -> str:
     frequency = abs(np.log(complex(worst))) / (2 * np.pi * dt)
     count = int((np.abs(poles) > STABLE_TO).sum())
     more = f", the worst of {count} such poles" if count > 1 else ""
-    return f"a pole has magnitude {abs(worst):.6g} at {frequency:.4g} Hz{more}"
+    size = abs(worst)
+    shown = f"{size:.6g}" if size > 1 + NEAR_CIRCLE else f"1 + {size - 1:.2g}"
+    return f"a pole has magnitude {shown} at {frequency:.4g} Hz{more}"
 
 
 def _stable_orders(method: Any, decomposition: Any, order: int) -> str:
-    """Name the nearest stable orders below and above."""
+    """Say which orders next to this one are stable; empty if none is near."""
     found = []
     largest = decomposition.largest_order
     for step in (
@@ -72,7 +80,9 @@ def _stable_orders(method: Any, decomposition: Any, order: int) -> str:
             if is_stable(method.realize(decomposition, k)):
                 found.append(str(k))
                 break
-    return " and ".join(found)
+    if len(found) == 2:
+        return f"Orders {found[0]} and {found[1]} are stable"
+    return f"Order {found[0]} is stable" if found else ""
 
 
 def _projected(fit: Fit, outside: str) -> Fit:

@@ -96,6 +96,9 @@ class N4SID:
     ) -> Subspace:
         """Reduce and factor the data once, for models of every order.
 
+        A stream brings its own `offset` rule; `gram` is a Gram of at least as many block rows
+        from the same stream, which saves the reduction.
+
         Raises
         ------
         DataError

@@ -402,9 +402,9 @@ def test_records_may_have_offsets_of_their_own(rng: np.random.Generator) -> None
     np.testing.assert_allclose(
         fit.model.markov_parameters(40), exact, atol=1e-8 * np.abs(exact).max()
     )
-    offsets = fit.diagnostics.figures["segment_offsets"]
+    offsets = fit.diagnostics.figures["record_offsets"]
     np.testing.assert_allclose(offsets, [[5.0] * 4, [-5.0] * 4], atol=1e-6)
-    assert "segment-offsets" in [finding.code for finding in fit.diagnostics.findings]
+    assert "record-offsets" in [finding.code for finding in fit.diagnostics.findings]
 
 
 def test_many_short_records_are_refused_or_identified(rng: np.random.Generator) -> None:
@@ -493,3 +493,70 @@ def test_prediction_states_start_where_the_filter_does() -> None:
     assert (np.abs(errors[:20]).max(axis=0) < 6 * spread).all()
     np.testing.assert_allclose(errors.std(axis=0), spread, rtol=0.05)
     np.testing.assert_allclose(fit.output_offset, 40.0, atol=3 * spread.max())
+
+
+@pytest.mark.parametrize("noise", [1e-4, 1e-3])
+def test_automatic_order_of_a_hammer_test(noise: float) -> None:
+    """A blow leaves one half of the record without force: that half is not a judge."""
+    rng = np.random.default_rng(1)
+    frame = chain(np.ones(3), np.full(3, 4000.0), damping_ratio=0.01)
+    force = np.zeros((1500, 1))
+    force[50:54] = 100.0
+    clean = frame.simulate(force, 0.01, forces=["f1"])
+    y = clean.outputs + noise * np.abs(clean.outputs).max() * rng.standard_normal((1500, 3))
+    fit = vb.identify(vb.Record(y, force, dt=0.01))
+    found = vb.modes_of(fit).frequencies_hz
+    nearest = np.abs(found[:, None] - frame.frequencies_hz).min(axis=0)
+    assert (nearest < 2e-3 * frame.frequencies_hz).all()
+
+
+def test_automatic_order_with_offsets_of_each_record(rng: np.random.Generator) -> None:
+    """Records with far offsets still give the true order, and are simulated with their own."""
+    _, record = shaker_test(rng, n_samples=3600)
+    spread = record.outputs.std()
+    parts = [record.slice(1200 * k, 1200 * (k + 1)) for k in range(3)]
+    moved = [
+        vb.Record(part.outputs + 10 * k * spread, part.inputs, dt=DT)
+        for k, part in enumerate(parts)
+    ]
+    fit = vb.identify(moved)
+    assert fit.order == 8
+    offsets = fit.diagnostics.figures["record_offsets"]
+    for k, part in enumerate(moved):
+        modelled = fit.simulate_record(part, fit.initial_states[[k]], output_offset=offsets[k])
+        assert (fit_percent(part.outputs, modelled) > 97).all()
+
+
+def test_an_output_that_dies_does_not_end_the_choice(rng: np.random.Generator) -> None:
+    """A sensor that rests in one half is not scored there; the rest decides."""
+    _, record = shaker_test(rng)
+    y = record.outputs.copy()
+    y[3000:, 1] = 0
+    assert vb.identify(vb.Record(y, record.inputs, dt=DT), stability="project").order > 1
+
+
+def test_unstable_noise_free_data_follow_the_policy(rng: np.random.Generator) -> None:
+    """The rank of data of an unstable system is its order, and the policy decides."""
+    angle = np.array([[np.cos(0.5), np.sin(0.5)], [-np.sin(0.5), np.cos(0.5)]])
+    A = np.block([[1.005 * angle, np.zeros((2, 2))], [np.zeros((2, 2)), 0.9 * angle @ angle]])
+    system = vb.StateSpace(A, np.ones((4, 1)), rng.standard_normal((2, 4)), np.zeros((2, 1)), 1.0)
+    u = white_noise(800, rng=rng)
+    record = vb.Record(system.simulate(u), u, dt=1.0)
+    with pytest.raises(vb.UnstableModelError, match="order 4 is unstable"):
+        vb.identify(record)
+    assert vb.identify(record, stability="project").model.is_stable
+    left = vb.identify(record, stability="ignore")
+    np.testing.assert_allclose(left.model.spectral_radius, 1.005, rtol=1e-8)
+
+
+def test_a_force_among_the_responses_is_said(rng: np.random.Generator) -> None:
+    """A measured force without a role is taken as a response, with a warning and the cure."""
+    _, record = shaker_test(rng)
+    both = vb.Record(
+        np.hstack([record.inputs, record.outputs]),
+        dt=DT,
+        output_channels=record.input_channels + record.output_channels,
+    )
+    fit = vb.identify(both, vb.SSI(block_rows=20), order=10, stability="project")
+    found = {finding.code: finding for finding in fit.diagnostics.findings}
+    assert "--inputs force_f1" in found["input-as-response"].cure

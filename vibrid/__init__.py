@@ -1,4 +1,4 @@
-"""vibrid: from vibration records to state-space models, modes, matrices and forces."""
+"""vibrid: from vibration records to state-space models and modes, every choice explained."""
 
 from .errors import DataError, FileError, OptionError, PathError, UnstableModelError, VibridError
 from .files import load, read_record, save, write_record

@@ -62,7 +62,7 @@ class Fit:
         (record, start, stop) of each piece.
     input_offset, output_offset : array
         The model relates inputs less `input_offset` to outputs less `output_offset`; of
-        several segments, the mean over their samples.
+        several records, the mean over their samples.
     feedthrough : array of bool (n_outputs,)
         Which outputs have direct transmission; the rows of D of the others are zero.
     method : the method's dataclass, with every option as it was used
@@ -95,6 +95,12 @@ class Fit:
     input_channels: tuple[Channel, ...]
     output_channels: tuple[Channel, ...]
 
+    def __repr__(self) -> str:
+        return (
+            f"<Fit: order {self.order} by {self.method}, {self.model.n_inputs} inputs, "
+            f"{self.model.n_outputs} outputs, dt={self.model.dt:g} s>"
+        )
+
     @property
     def channels(self) -> tuple[Channel, ...]:
         """Inputs, then outputs."""
@@ -126,7 +132,13 @@ class Fit:
         y = self.model.simulate(u, initial_state)
         return np.asarray(y + self.output_offset)
 
-    def predict(self, record: Record, initial: InitialRule | Floats = "map") -> Floats:
+    def predict(
+        self,
+        record: Record,
+        initial: InitialRule | Floats = "map",
+        *,
+        output_offset: Floats | None = None,
+    ) -> Floats:
         """Return one-step-ahead predictions of the record's outputs.
 
         Parameters
@@ -136,22 +148,30 @@ class Fit:
         initial : "map", "least_squares", "zero" or array (n_segments, n)
             How the initial state of each piece is found, or the states themselves; rows of
             NaN among them are found by MAP.
+        output_offset : array (n_outputs,), optional
+            Of this record, where records differ; the fit's own by default.
 
         Returns
         -------
         array (n_samples, n_outputs)
             NaN where samples are missing.
         """
-        return self._run(record, self.predictor(), initial)
+        return self._run(record, self.predictor(), initial, output_offset)
 
-    def simulate_record(self, record: Record, initial: InitialRule | Floats = "map") -> Floats:
+    def simulate_record(
+        self,
+        record: Record,
+        initial: InitialRule | Floats = "map",
+        *,
+        output_offset: Floats | None = None,
+    ) -> Floats:
         """Return the outputs simulated from the record's inputs, piece by piece.
 
         The initial state of each piece is found by the named rule with the same model.
         Parameters and result as for `predict`.
         """
         none = np.zeros_like(self.kalman_gain)
-        return self._run(record, self.predictor(none), initial)
+        return self._run(record, self.predictor(none), initial, output_offset)
 
     def predictor(self, gain: Floats | None = None) -> StateSpace:
         """Return x̂⁺ = (A − K C) x̂ + [B − K D, K] [u; y], ŷ = C x̂ + [D, 0] [u; y]."""
@@ -165,10 +185,17 @@ class Fit:
             self.model.dt,
         )
 
-    def _run(self, record: Record, predictor: StateSpace, initial: InitialRule | Floats) -> Floats:
+    def _run(
+        self,
+        record: Record,
+        predictor: StateSpace,
+        initial: InitialRule | Floats,
+        output_offset: Floats | None,
+    ) -> Floats:
         self.check_channels(record)
         predicted = np.full((record.n_samples, record.n_outputs), np.nan)
-        centre = np.concatenate([self.input_offset, self.output_offset])
+        offset = self.output_offset if output_offset is None else np.asarray(output_offset, float)
+        centre = np.concatenate([self.input_offset, offset])
         pieces = record.segments()
         if not isinstance(initial, str):
             initial = np.asarray(initial, dtype=np.float64)
@@ -180,7 +207,7 @@ class Fit:
         for k, (start, stop) in enumerate(pieces):
             z = record.read(start, stop) - centre
             state = self._initial(predictor, z, initial if isinstance(initial, str) else initial[k])
-            predicted[start:stop] = predictor.simulate(z, state) + self.output_offset
+            predicted[start:stop] = predictor.simulate(z, state) + offset
         return predicted
 
     def _initial(self, predictor: StateSpace, z: Floats, initial: InitialRule | Floats) -> Floats:

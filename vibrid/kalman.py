@@ -44,6 +44,8 @@ def riccati_gain(
         gain = np.linalg.solve(innovation, (A @ P @ C.T + cross_noise).T).T
     except (np.linalg.LinAlgError, ValueError):
         return None
+    if not np.isfinite(innovation).all() or np.linalg.eigvalsh(innovation)[0] <= 0:
+        return None
     if not np.isfinite(gain).all() or spectral_radius(A - gain @ C) >= DETECTABLE:
         return None
     return gain, innovation

@@ -61,6 +61,11 @@ class Modes:
     frequencies_std: Floats
     damping_std: Floats
 
+    def __repr__(self) -> str:
+        pairs = zip(self.frequencies_hz, self.damping_ratios, strict=True)
+        listed = ", ".join(f"{f:.4g} Hz {100 * zeta:.3g} %" for f, zeta in pairs)
+        return f"<Modes: {listed or 'none'}>"
+
     @property
     def n_modes(self) -> int:
         return len(self.poles)

@@ -55,6 +55,12 @@ class BlockGram:
     n_inputs: int
     offset: str
 
+    def __repr__(self) -> str:
+        return (
+            f"<BlockGram: {self.n_rows} block rows of {self.n_channels} channels, "
+            f"{self.n_columns} columns in {len(self.columns)} blocks>"
+        )
+
     @property
     def n_rows(self) -> int:
         """Block rows of the Hankel matrix."""

@@ -35,6 +35,7 @@ __all__ = [
 ]
 
 SHORT_MEMORY = 1e-2  # what a predictor may still remember at the end of the past horizon
+POOR_SIMULATION = 0.7  # rms error over standard deviation: half of the variance is missed
 DRIFT_SHARE = 1 / 3  # of the record: a real pole slower than this plays a drift
 
 
@@ -159,8 +160,49 @@ def _with_reasons(fit: Fit, stream: Stream, choice: Choice) -> Fit:
         figures["criterion"] = choice.scan.criterion
         figures["held_out_errors"] = choice.held_out
         figures["persistence"] = choice.scan.persistence(modes_of(fit), fit.order // 2)
-    findings = [*_memory_findings(fit), *_drift_findings(fit, stream)]
+    findings = [
+        *_input_findings(fit),
+        *_error_findings(fit),
+        *_memory_findings(fit),
+        *_drift_findings(fit, stream),
+    ]
     return replace(fit, diagnostics=fit.diagnostics.joined(figures, findings))
+
+
+def _input_findings(fit: Fit) -> list[Finding]:
+    """Say when what usually drives a structure was taken as a response."""
+    drives = [
+        channel.name
+        for channel in fit.output_channels
+        if channel.quantity in ("force", "base_acceleration")
+    ]
+    if not drives or fit.input_channels:
+        return []
+    names = ",".join(drives)
+    return [
+        Finding(
+            "input-as-response",
+            "warning",
+            f"{', '.join(drives)} measured what usually drives a structure and was taken as a "
+            "response.",
+            f"If it drives: select(inputs=[…]), or --inputs {names}.",
+        )
+    ]
+
+
+def _error_findings(fit: Fit) -> list[Finding]:
+    error = fit.diagnostics.figures.get("simulation_error", 0.0)
+    if not (fit.input_channels and error > POOR_SIMULATION):
+        return []
+    return [
+        Finding(
+            "poor-simulation",
+            "warning",
+            f"Simulated from the inputs, the model misses {100 * error:.3g} % of the outputs' "
+            "standard deviation.",
+            "Try another order, a band, or check that the inputs are what drives the structure.",
+        )
+    ]
 
 
 def _memory_findings(fit: Fit) -> list[Finding]:

@@ -141,7 +141,7 @@ def _longest(stream: Stream, method: Any, wanted: int) -> int:
 def _best_of(
     stream: Stream, tried: Sequence[tuple[Any, Any, OrderScan]], reasons: tuple[str, ...]
 ) -> Choice:
-    usable = [each for each in tried if each[2].stable.any()]
+    usable = [each for each in tried if each[2].stable.any() or each[2].rank is not None]
     if not usable:
         raise UnstableModelError(
             f"Every order from {tried[0][2].orders[0]} to {tried[-1][2].orders[-1]} gives an "
@@ -149,7 +149,8 @@ def _best_of(
             'block_rows, or ask for an order with stability="project" (--stability project).'
         )
     values = [
-        np.nanmin(scan.criterion) / decomposition.n_columns for _, decomposition, scan in usable
+        min(scan.criterion[scan.stable], default=np.inf) / decomposition.n_columns
+        for _, decomposition, scan in usable
     ]
     method, decomposition, scan = usable[_first_close(values, stream)]
     order, why = choose_order(scan, forced=stream.n_inputs > 0)
@@ -202,7 +203,8 @@ def _by_held_out(stream: Stream, choice: Choice, feedthrough: Mask) -> Choice:
     stable = choice.scan.orders[choice.scan.stable]
     orders = [int(k) for k in stable if k <= choice.order and (k in GRID or k == choice.order)]
     errors = held_out_errors(stream, choice.method, feedthrough, orders)
-    if choice.order not in errors:
+    # at 100 % error the halves say nothing: one of them may hold no force at all
+    if choice.order not in errors or min(errors.values()) >= 1:
         return choice
     order = smallest_enough(errors)
     why = choice.reasons[-1]

@@ -103,9 +103,12 @@ def _pieces(stream: Stream, order: int) -> list[Piece]:
     for owner, segment in enumerate(stream.segments):
         half = segment.length // 2
         if half < SPLIT_LENGTH * order:
-            pieces.append(Piece(owner, 0, segment.length))
+            pieces.append(Piece(segment.record, owner, 0, segment.length))
         else:
-            pieces += [Piece(owner, 0, half), Piece(owner, half, segment.length)]
+            pieces += [
+                Piece(segment.record, owner, 0, half),
+                Piece(segment.record, owner, half, segment.length),
+            ]
     return pieces
 
 
@@ -158,9 +161,10 @@ def _unseen_errors(
     scaled: _Scaled, simulated: Equations, predicted: Equations, pieces: Sequence[Piece]
 ) -> dict[str, float]:
     """Fit B and D to first or second halves, simulate the others: total squared error."""
+    split = {piece.owner for piece in pieces if piece.start}
     halves = [
-        [k for k, piece in enumerate(pieces) if (piece.start == 0) == first]
-        for first in (True, False)
+        [k for k, piece in enumerate(pieces) if piece.owner in split and bool(piece.start) == last]
+        for last in (False, True)
     ]
     errors = {"simulation": 0.0, "prediction": 0.0}
     for seen, unseen in (halves, halves[::-1]):
@@ -169,53 +173,53 @@ def _unseen_errors(
             "prediction": _translated(scaled, predicted, simulated, predicted.solve(seen).shared),
         }
         for form, shared in by_form.items():
-            tried = simulated.with_own(shared, unseen)
+            tried = simulated.with_states(shared, unseen)
             errors[form] += float(np.trace(simulated.squares(tried, unseen)))
     return errors
 
 
 def _translated(scaled: _Scaled, source: Equations, target: Equations, shared: Floats) -> Floats:
     """Return the solution of one form as unknowns of the other."""
-    D, B = _physical(scaled, source, shared)
-    return _packed(scaled, target, D, B)
+    return _packed(scaled, target, *_physical(scaled, source, shared))
 
 
 def _gain_of(scaled: _Scaled, equations: Equations) -> Floats:
     return scaled.K if equations.predicts else np.zeros_like(scaled.K)
 
 
-def _physical(scaled: _Scaled, equations: Equations, shared: Floats) -> tuple[Floats, Floats]:
-    """Return D and B of the model; the prediction form solves for B − K D."""
-    D, B = equations.unpack(shared)
-    return D, equations.basis.vectors @ B + _gain_of(scaled, equations) @ D
+def _physical(
+    scaled: _Scaled, equations: Equations, shared: Floats
+) -> tuple[Floats, Floats, Floats]:
+    """Return offsets (n_records, p), D and B of the model.
 
-
-def _packed(scaled: _Scaled, equations: Equations, D: Floats, B: Floats) -> Floats:
-    modal = np.linalg.solve(equations.basis.vectors, B - _gain_of(scaled, equations) @ D)
-    return equations.pack(D, np.asarray(modal))
-
-
-def _offsets_and_states(
-    scaled: _Scaled, equations: Equations, unknowns: Unknowns
-) -> tuple[Floats, Floats]:
-    """Return output offset (n_segments, p) and initial state (n_segments, n) of each segment.
-
-    The prediction form's constant is what its filter leaves of the offset, and its filter
-    started at rest on data that still held the offset.
+    The prediction form solves for B − K D, and its constant is what its filter leaves of
+    the offset.
     """
-    A, C, K = scaled.A, scaled.C, _gain_of(scaled, equations)
-    constants, states = equations.constants(unknowns), equations.states(unknowns)
-    if not constants.any() or not K.any():
-        return constants, states
-    eye = np.eye(len(A))
-    offsets = constants + np.linalg.solve(eye - A, K @ constants.T).T @ C.T
-    held = np.linalg.solve(eye - A + K @ C, K @ offsets.T).T
-    return offsets, states - held
+    K = _gain_of(scaled, equations)
+    constants, D, B = equations.unpack(shared)
+    offsets = constants + _steady(scaled.A, constants @ K.T) @ scaled.C.T
+    return offsets, D, equations.basis.vectors @ B + K @ D
+
+
+def _packed(scaled: _Scaled, equations: Equations, offsets: Floats, D: Floats, B: Floats) -> Floats:
+    K = _gain_of(scaled, equations)
+    constants = offsets - _steady(scaled.A - K @ scaled.C, offsets @ K.T) @ scaled.C.T
+    modal = np.linalg.solve(equations.basis.vectors, B - K @ D)
+    return equations.pack(constants, D, np.asarray(modal))
+
+
+def _steady(A: Floats, drives: Floats) -> Floats:
+    """Return the states that constant drives hold, (I − A)⁻¹ drive, row by row."""
+    if not drives.any():
+        return drives
+    return np.asarray(np.linalg.solve(np.eye(len(A)) - A, drives.T).T)
 
 
 def _fixed(equations: Equations, scaled: _Scaled) -> Unknowns:
-    """Return the unknowns with B and D of the state regression."""
-    return equations.with_own(_packed(scaled, equations, scaled.D, scaled.B))
+    """Return the unknowns with B and D of the state regression, offsets as they fit best."""
+    free = equations.solve()
+    offsets, _, _ = _physical(scaled, equations, free.shared)
+    return equations.with_states(_packed(scaled, equations, offsets, scaled.D, scaled.B))
 
 
 def _error_covariance(
@@ -227,7 +231,7 @@ def _error_covariance(
     target = forms[wanted]
     if wanted != form:
         shared = _translated(scaled, forms[form], target, unknowns.shared)
-        unknowns = target.with_own(shared)
+        unknowns = target.with_states(shared)
     return target.covariance(unknowns)
 
 
@@ -242,9 +246,16 @@ def _finished(
 ) -> Fit:
     u, y = stream.input_scale, stream.output_scale
     equations = forms[form]
-    D, B = _physical(scaled, equations, unknowns.shared)
-    offsets, states = _offsets_and_states(scaled, equations, unknowns)
-    lengths = np.array([segment.length for segment in stream.segments], dtype=float)
+    offsets, D, B = _physical(scaled, equations, unknowns.shared)
+    if not len(offsets):
+        offsets = np.zeros((len(stream.records), len(y)))
+    # the filter started at rest on data that still held the offset
+    K = _gain_of(scaled, equations)
+    held = _steady(scaled.A - K @ scaled.C, offsets @ K.T)
+    owners = [segment.record for segment in stream.segments]
+    states = equations.states(unknowns) - (held[owners] if held.shape[1] == len(K) else 0)
+    lengths = np.bincount(owners, [segment.length for segment in stream.segments], len(offsets))
+    offsets[lengths == 0] = lengths @ offsets / lengths.sum()
     simulation = _error_covariance(scaled, forms, form, unknowns, "simulation")
     prediction = _error_covariance(scaled, forms, form, unknowns, "prediction")
     innovation = prediction if prediction is not None else equations.covariance(unknowns)
@@ -252,7 +263,7 @@ def _finished(
         "completion": form,
         **figures,
         "output_weights": equations.weight / y,
-        "segment_offsets": stream.centre[stream.n_inputs :] + y * offsets,
+        "record_offsets": stream.centre[stream.n_inputs :] + y * offsets,
         "simulation_error": _relative_rms(simulation, y / stream.output_deviation),
     }
     model = fit.model
@@ -274,7 +285,7 @@ def _relative_rms(covariance: Floats | None, per_deviation: Floats) -> float:
 
 
 def _offset_findings(offsets: Floats, innovation: Floats | None) -> list[Finding]:
-    """Say when segments have different offsets: each was given its own."""
+    """Say when records have different offsets: each was given its own."""
     spread = np.ptp(offsets, axis=0)
     noise = 0.0 if innovation is None else np.sqrt(np.diag(innovation))
     apart = int((spread > np.maximum(noise, OFFSET_SPREAD)).sum())
@@ -282,10 +293,11 @@ def _offset_findings(offsets: Floats, innovation: Floats | None) -> list[Finding
         return []
     return [
         Finding(
-            "segment-offsets",
+            "record-offsets",
             "note",
-            f"The offsets of {apart} of {len(spread)} outputs differ between the segments; each "
-            "segment has its own, and simulate() adds their mean.",
+            f"The offsets of {apart} of {len(spread)} outputs differ between the records: each "
+            "has its own (figures record_offsets), and simulate() adds their mean.",
+            "Give predict() and simulate_record() the record's output_offset.",
         )
     ]
 

@@ -16,7 +16,7 @@ import scipy.linalg as sla
 from numpy.typing import NDArray
 
 from ..chunks import Stream
-from ..gram import triangle_of
+from ..gram import stacked_qr, triangle_of
 from ..record import Floats
 from ..statespace import Lifting
 from .modal_basis import ModalBasis
@@ -29,8 +29,12 @@ CHUNK_ELEMENTS = 2**21  # of the columns made at a time
 
 @dataclass(frozen=True)
 class Piece:
-    """Samples [start, stop) of segment `owner`; pieces of a segment share its initial state."""
+    """Samples [start, stop) of segment `owner`; pieces of a segment share its initial state.
 
+    Pieces of a record share its constant: a gap does not move a sensor's zero.
+    """
+
+    record: int
     owner: int
     start: int
     stop: int
@@ -43,13 +47,13 @@ class Unknowns:
     Attributes
     ----------
     shared : array (n_shared,)
-        [D where free, B column by column].
-    own : array (n_segments, n + p)
-        Initial state and constant of each segment (n columns where there is no constant).
+        [constants record by record, D where free, B column by column].
+    states : array (n_segments, n)
+        Initial state of each segment.
     """
 
     shared: Floats
-    own: Floats
+    states: Floats
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,7 +72,7 @@ class Equations:
         W with W cov(e) Wᵀ = I.
     feedthrough : array (p,)
         Which outputs have D.
-    constant : 1 with an offset to estimate for every segment, else 0
+    constant : 1 with an offset to estimate for every record, else 0
     predicts : whether the target is the prediction's
     """
 
@@ -91,45 +95,55 @@ class Equations:
         return int(self.rows.shape[0])
 
     @property
-    def n_shared(self) -> int:
+    def _c(self) -> int:
+        return self.constant * self._p
+
+    @property
+    def n_direct(self) -> int:
+        """Unknowns in D and B."""
         return (int(self.feedthrough.sum()) + self._n) * self.n_inputs
 
     @property
-    def n_own(self) -> int:
-        return self._n + self.constant * self._p
+    def n_shared(self) -> int:
+        return self._n_constants + self.n_direct
+
+    @property
+    def _n_constants(self) -> int:
+        return self._c * (max(piece.record for piece in self.pieces) + 1)
 
     def solve(self, pieces: Sequence[int] | None = None) -> Unknowns:
         """Return the least-squares solution over some or all pieces.
 
-        What each segment has of its own is projected out before the shared part is solved.
+        The state of every segment, then the constants of every record, are projected out
+        before D and B are solved.
         """
-        if not self.n_shared:
-            return self.with_own(np.zeros(0), pieces)
-        left, right = [], []
-        for chosen in self._by_segment(pieces):
-            triangle = self._reduced(chosen)
-            rest = _without(triangle[:, : self.n_own], triangle[:, self.n_own :])
-            left.append(rest[:, :-1])
-            right.append(rest[:, -1])
-        answer = sla.lstsq(np.vstack(left), np.concatenate(right), cond=SOLVE_TOLERANCE)[0]
-        return self.with_own(answer, pieces)
+        c, records = self._c, self._by_record(pieces)
+        direct = np.zeros(self.n_direct)
+        if self.n_direct:
+            rests = [_without(rows[:, :c], rows[:, c:]) for rows in records.values()]
+            stacked = stacked_qr(iter(rests), self.n_direct + 1)
+            direct = sla.lstsq(stacked[:, :-1], stacked[:, -1], cond=SOLVE_TOLERANCE)[0]
+        constants = np.zeros((self._n_constants // max(1, c), c))
+        if c:
+            for record, rows in records.items():
+                constants[record] = _solve(rows[:, :c], rows[:, -1] - rows[:, c:-1] @ direct)
+        return self.with_states(np.concatenate([constants.ravel(), direct]), pieces)
 
-    def with_own(self, shared: Floats, pieces: Sequence[int] | None = None) -> Unknowns:
-        """Return the shared unknowns with the state and constant that fit each segment best."""
+    def with_states(self, shared: Floats, pieces: Sequence[int] | None = None) -> Unknowns:
+        """Return the shared unknowns with the state that fits each segment best."""
         found = []
         for chosen in self._by_segment(pieces):
             triangle = self._reduced(chosen)
-            unit, size = _unit_columns(triangle[:, : self.n_own])
-            target = triangle[:, -1] - triangle[:, self.n_own : -1] @ shared
-            found.append(sla.lstsq(unit, target, cond=SOLVE_TOLERANCE)[0] / size)
+            target = triangle[:, -1] - triangle[:, self._n : -1] @ self._local(shared, chosen[0])
+            found.append(_solve(triangle[:, : self._n], target))
         return Unknowns(shared, np.array(found))
 
     def squares(self, unknowns: Unknowns, pieces: Sequence[int] | None = None) -> Floats:
         """Return Σ e eᵀ (p, p), unweighted, over some or all pieces."""
         p, back = self._p, np.linalg.inv(self.weight)
         total = np.zeros((p, p))
-        for chosen, own in zip(self._by_segment(pieces), unknowns.own, strict=True):
-            answer = np.concatenate([own, unknowns.shared, [-1.0]])
+        for chosen, state in zip(self._by_segment(pieces), unknowns.states, strict=True):
+            answer = np.concatenate([state, self._local(unknowns.shared, chosen[0]), [-1.0]])
             for k in chosen:
                 missing = np.stack([rows @ answer for rows in self._weighted_rows(k)])
                 error = back @ missing
@@ -137,32 +151,42 @@ class Equations:
                 total += error @ error.T + rest.T @ rest
         return total
 
+    def _local(self, shared: Floats, piece: int) -> Floats:
+        """Return what of the shared unknowns acts on a piece: its record's constants, D, B."""
+        first = self.pieces[piece].record * self._c
+        return np.concatenate([shared[first : first + self._c], shared[self._n_constants :]])
+
+    def _by_record(self, pieces: Sequence[int] | None) -> dict[int, Floats]:
+        """Return rows [constants, D, B, target] of every record, states projected out."""
+        groups: dict[int, list[Floats]] = {}
+        for chosen in self._by_segment(pieces):
+            triangle = self._reduced(chosen)
+            rest = _without(triangle[:, : self._n], triangle[:, self._n :])
+            groups.setdefault(self.pieces[chosen[0]].record, []).append(rest)
+        width = self._c + self.n_direct + 1
+        return {record: stacked_qr(iter(rests), width) for record, rests in groups.items()}
+
     def covariance(self, unknowns: Unknowns) -> Floats:
         """Return the covariance of the errors, degrees of freedom taken off."""
-        used = (self.n_shared + unknowns.own.size) / self._p
+        used = (self.n_shared + unknowns.states.size) / self._p
         samples = sum(piece.stop - piece.start for piece in self.pieces)
         return self.squares(unknowns) / max(1.0, samples - used)
 
-    def constants(self, unknowns: Unknowns) -> Floats:
-        """Return the constant of each segment (n_segments, p)."""
-        if not self.constant:
-            return np.zeros((len(unknowns.own), self._p))
-        return unknowns.own[:, self._n :]
-
     def states(self, unknowns: Unknowns) -> Floats:
         """Return the initial state of each segment in model coordinates (n_segments, n)."""
-        return np.asarray(unknowns.own[:, : self._n] @ self.basis.vectors.T)
+        return np.asarray(unknowns.states @ self.basis.vectors.T)
 
-    def unpack(self, shared: Floats) -> tuple[Floats, Floats]:
-        """Return D (p, m) and B in modal coordinates (n, m)."""
-        m, free = self.n_inputs, int(self.feedthrough.sum())
+    def unpack(self, shared: Floats) -> tuple[Floats, Floats, Floats]:
+        """Return constants (n_records, p), D (p, m) and B in modal coordinates (n, m)."""
+        m, free, first = self.n_inputs, int(self.feedthrough.sum()), self._n_constants
         D = np.zeros((self._p, m))
-        D[self.feedthrough] = shared[: free * m].reshape(free, m)
-        return D, shared[free * m :].reshape(m, self._n).T
+        D[self.feedthrough] = shared[first : first + free * m].reshape(free, m)
+        constants = shared[:first].reshape(-1, self._p)
+        return constants, D, shared[first + free * m :].reshape(m, self._n).T
 
-    def pack(self, D: Floats, B: Floats) -> Floats:
+    def pack(self, constants: Floats, D: Floats, B: Floats) -> Floats:
         """Return `shared` of given parts: the inverse of `unpack`."""
-        return np.concatenate([D[self.feedthrough].ravel(), B.T.ravel()])
+        return np.concatenate([constants.ravel(), D[self.feedthrough].ravel(), B.T.ravel()])
 
     def _by_segment(self, pieces: Sequence[int] | None) -> list[tuple[int, ...]]:
         groups: dict[int, list[int]] = {}
@@ -171,9 +195,9 @@ class Equations:
         return [tuple(group) for group in groups.values()]
 
     def _reduced(self, chosen: tuple[int, ...]) -> Floats:
-        """Return the triangle of [own, shared, target] over the outputs of some pieces."""
+        """Return the triangle of [state, shared, target] over the outputs of some pieces."""
         if chosen not in self._triangles:
-            width = self.n_own + self.n_shared + 1
+            width = self._n + self._c + self.n_direct + 1
             self._triangles[chosen] = triangle_of(
                 lambda: (rows for k in chosen for rows in self._weighted_rows(k)),
                 width,
@@ -186,7 +210,7 @@ class Equations:
         return {}
 
     def _weighted_rows(self, piece: int) -> Iterator[Floats]:
-        """Yield the rows [own, shared, target] of one weighted output after the other."""
+        """Yield the rows [state, shared, target] of one weighted output after the other."""
         n, m, one = self._n, self.n_inputs, self.constant
         triangle = self.triangles[piece]
         q = len(triangle) - self._p
@@ -212,11 +236,19 @@ class Equations:
 
 def _without(columns: Floats, matrix: Floats) -> Floats:
     """Return what the columns cannot explain of a matrix; columns may be dependent or zero."""
+    if columns.shape[1] == 0:
+        return matrix
     unit, _ = _unit_columns(columns)
     Q, R, _ = sla.qr(unit, mode="economic", pivoting=True, check_finite=False)
     size = np.abs(np.diag(R))
     Q = Q[:, size > SOLVE_TOLERANCE * max(size[0], 1e-300)]
     return np.asarray(matrix - Q @ (Q.T @ matrix))
+
+
+def _solve(columns: Floats, target: Floats) -> Floats:
+    """Return the least-squares solution; columns may be dependent or zero."""
+    unit, size = _unit_columns(columns)
+    return np.asarray(sla.lstsq(unit, target, cond=SOLVE_TOLERANCE)[0] / size)
 
 
 def _unit_columns(columns: Floats) -> tuple[Floats, Floats]:

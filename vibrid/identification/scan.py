@@ -98,7 +98,7 @@ def choose_order(scan: OrderScan, *, forced: bool) -> tuple[int, str]:
     coloured excitation makes the criterion fall for ever.
     """
     first, last = scan.orders[0], scan.orders[-1]
-    if scan.rank is not None and scan.stable[-1]:
+    if scan.rank is not None:
         return scan.rank, f"order={scan.rank} is the rank of these nearly noise-free data"
     found = None if forced else steady_modes(scan)
     if found is not None:

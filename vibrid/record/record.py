@@ -84,6 +84,13 @@ class Record:
         ):
             object.__setattr__(self, field, value)
 
+    def __repr__(self) -> str:
+        names = f" {self.name!r}" if self.name else ""
+        return (
+            f"<Record{names}: {self.n_samples} samples of {self.n_outputs} outputs and "
+            f"{self.n_inputs} inputs, dt={self.dt:g} s>"
+        )
+
     # -- what is in it
 
     @property

@@ -49,12 +49,14 @@ def _diagnostics(subspace: Subspace, found: Realization) -> Diagnostics:
     memory = spectral_radius(found.A - found.K @ found.C) ** layout.past_rows
     findings = []
     if factor.path == "qr":
+        pivot = f"squared pivot {factor.smallest_pivot:.1g}, limit {PIVOT_LIMIT:g}"
+        why = "no Cholesky factor" if np.isnan(factor.smallest_pivot) else pivot
         findings.append(
             Finding(
                 "qr-path",
                 "note",
-                f"The Gram matrix is nearly singular (squared pivot {factor.smallest_pivot:.1g}, "
-                f"limit {PIVOT_LIMIT:g}): the data were factored by QR in a second pass.",
+                f"The Gram matrix is nearly singular ({why}): the data were factored by QR in a "
+                "second pass.",
             )
         )
     if found.gain.startswith("none"):

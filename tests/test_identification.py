@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -560,3 +561,17 @@ def test_a_force_among_the_responses_is_said(rng: np.random.Generator) -> None:
     fit = vb.identify(both, vb.SSI(block_rows=20), order=10, stability="project")
     found = {finding.code: finding for finding in fit.diagnostics.findings}
     assert "--inputs force_f1" in found["input-as-response"].cure
+
+
+def test_coinciding_poles_leave_the_regression_as_it_is(rng: np.random.Generator) -> None:
+    """A defective transition cannot be completed: B, D stay, what is missing is NaN, and said."""
+    _, record = shaker_test(rng, n_samples=600)
+    stream = open_stream(record)
+    method = vb.N4SID(block_rows=8)
+    plain = method.realize(method.decompose(stream), 2)
+    model = vb.StateSpace([[0.5, 1.0], [0.0, 0.5]], plain.model.B, plain.model.C, plain.model.D, DT)
+    defective = replace(plain, model=model, kalman_gain=np.zeros_like(plain.kalman_gain))
+    done = complete(defective, stream)
+    assert "coinciding-poles" in [finding.code for finding in done.diagnostics.findings]
+    assert np.isnan(done.initial_states).all()
+    assert done.diagnostics.figures["record_offsets"].shape == (1, 4)

@@ -46,7 +46,7 @@ def complete(fit: Fit, stream: Stream, completion: str = "auto") -> Fit:
     completion : "auto", "simulation", "prediction" or "regression"
         "auto" compares both on data they were not fitted to: B and D from one half of every
         piece, scored by simulation of the other. "regression" keeps B and D of the state
-        regression and only finds the initial states.
+        regression and finds offsets and initial states.
 
     Returns
     -------
@@ -58,7 +58,7 @@ def complete(fit: Fit, stream: Stream, completion: str = "auto") -> Fit:
     pieces = _pieces(stream, len(scaled.A))
     forms = _forms(stream, scaled, pieces)
     if not forms:
-        return _uncompleted(fit)
+        return _uncompleted(fit, stream)
     form, why = _choose(completion, scaled, forms, pieces)
     equations = forms[form]
     keep = completion == "regression"
@@ -253,12 +253,12 @@ def _finished(
     K = _gain_of(scaled, equations)
     held = _steady(scaled.A - K @ scaled.C, offsets @ K.T)
     owners = [segment.record for segment in stream.segments]
-    states = equations.states(unknowns) - (held[owners] if held.shape[1] == len(K) else 0)
+    states = equations.states(unknowns) - held[owners]
     lengths = np.bincount(owners, [segment.length for segment in stream.segments], len(offsets))
     offsets[lengths == 0] = lengths @ offsets / lengths.sum()
     simulation = _error_covariance(scaled, forms, form, unknowns, "simulation")
     prediction = _error_covariance(scaled, forms, form, unknowns, "prediction")
-    innovation = prediction if prediction is not None else equations.covariance(unknowns)
+    innovation = next(each for each in (prediction, simulation) if each is not None)
     figures = {
         "completion": form,
         **figures,
@@ -302,15 +302,17 @@ def _offset_findings(offsets: Floats, innovation: Floats | None) -> list[Finding
     ]
 
 
-def _uncompleted(fit: Fit) -> Fit:
+def _uncompleted(fit: Fit, stream: Stream) -> Fit:
+    means = np.tile(fit.output_offset, (len(stream.records), 1))
+    figures = {"completion": "regression", "record_offsets": means}
     finding = Finding(
         "coinciding-poles",
         "doubt",
-        "Poles coincide to working precision, so B, D and initial states are those of the state "
-        "regression.",
+        "Poles coincide to working precision, so B and D are those of the state regression, "
+        "offsets are means, and initial states were not estimated.",
         "Try a lower order.",
     )
     return replace(
         fit,
-        diagnostics=fit.diagnostics.joined({"completion": "regression"}, [finding]),
+        diagnostics=fit.diagnostics.joined(figures, [finding]),
     )

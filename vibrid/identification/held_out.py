@@ -93,10 +93,9 @@ def _error(fit: Fit, unseen: Stream, skipped: int) -> float:
     offsets = fit.diagnostics.figures["record_offsets"]
     for segment in _scored(unseen, skipped):
         piece = unseen.records[segment.record].slice(segment.start, segment.stop)
-        measured.append(np.asarray(piece.outputs[skipped:]))
         offset = offsets[segment.record]
+        measured.append(np.asarray(piece.outputs[skipped:]) - offset)
         modelled.append(fit.simulate_record(piece, output_offset=offset)[skipped:] - offset)
-        measured[-1] = measured[-1] - offset
     each = fit_percent(np.vstack(measured), np.vstack(modelled))
     moving = np.isfinite(each)  # an output that rests in this half says nothing
     return float(1 - each[moving].mean() / 100) if moving.any() else np.inf

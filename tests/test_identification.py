@@ -575,3 +575,18 @@ def test_coinciding_poles_leave_the_regression_as_it_is(rng: np.random.Generator
     assert "coinciding-poles" in [finding.code for finding in done.diagnostics.findings]
     assert np.isnan(done.initial_states).all()
     assert done.diagnostics.figures["record_offsets"].shape == (1, 4)
+
+
+def test_one_sensor_shows_all_modes_of_a_decay(rng: np.random.Generator) -> None:
+    """Where the shortest horizon cannot hold the rank, the one that shows it is taken."""
+    frame = chain(np.ones(8), np.full(8, 800.0), damping_ratio=0.01)
+    record = frame.simulate(
+        None,
+        0.05,
+        sensors=[("acceleration", "f1")],
+        initial_state=rng.standard_normal(16),
+        n_samples=1500,
+    )
+    fit = vb.identify(record)
+    assert fit.order == 16
+    np.testing.assert_allclose(vb.modes_of(fit).frequencies_hz, frame.frequencies_hz, rtol=1e-6)

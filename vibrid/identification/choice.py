@@ -152,7 +152,9 @@ def _best_of(
         min(scan.criterion[scan.stable], default=np.inf) / decomposition.n_columns
         for _, decomposition, scan in usable
     ]
-    method, decomposition, scan = usable[_first_close(values, stream)]
+    # a horizon that shows the rank shows all there is; shorter ones may hide modes
+    exact = usable[-1][2].rank is not None
+    method, decomposition, scan = usable[-1 if exact else _first_close(values, stream)]
     order, why = choose_order(scan, forced=stream.n_inputs > 0)
     skipped = int((~scan.stable).sum())
     if skipped:
@@ -182,7 +184,7 @@ def _first_close(values: Sequence[float], stream: Stream) -> int:
 
 def _horizon_reason(method: Any, tried: Sequence[tuple[Any, Any]], where: str) -> str:
     rows = f"block_rows={method.block_rows}"
-    if tried[-1][1].rank_limited:
+    if method == tried[-1][0] and tried[-1][1].rank_limited:
         return f"{rows} shows the rank of these nearly noise-free data"
     if len(tried) == 1:
         return f"{rows} is the longest that this record and its channels allow"

@@ -18,7 +18,7 @@ help: ## list these commands
 	@echo "make test          run the tests"
 	@echo "make slow          run the longer evidence and the benchmarks' self-test"
 	@echo "make check         check format and lint (ruff) and types (mypy --strict)"
-	@echo "make bench         run the benchmarks; ARGS=--quick for small sizes"
+	@echo "make bench         write docs/benchmarks.md; ARGS=--quick for small sizes, ARGS='--only W5'"
 	@echo "make clean         remove .venv, caches and build products"
 	@echo "Each sets up .venv by itself with $(PYTHON); another one: make test PYTHON=python3.12"
 

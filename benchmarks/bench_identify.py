@@ -1,7 +1,8 @@
 """Time whole identifications, one BLAS thread: CPU seconds and memory above the data.
 
 Run ``python -m benchmarks.bench_identify``; ``--quick`` is short. Workloads: a chain with modes
-of 4 to 40 Hz at 100 Hz, white forces, accelerations, 5 % noise. The share of the one pass that
+of 4 to 40 Hz at 100 Hz, white forces, accelerations, 5 % noise; "from the Gram" is A, B, C, D, K
+without a pass over the data for B, D and initial states. The share of the one pass that
 no method can save, walking the data once for means and scales, stands beside each.
 """
 
@@ -30,6 +31,14 @@ def record_of(n_dof: int, n_inputs: int, n_samples: int) -> vb.Record:
     return frame.simulate(force, 0.01, forces=frame.dofs[:n_inputs], noise=0.05, rng=rng)
 
 
+def torn_record(pieces: int) -> vb.Record:
+    """Return a record with a missing sample after every 49."""
+    whole = record_of(3, 1, 50 * pieces)
+    outputs = np.array(whole.outputs)
+    outputs[49::50] = np.nan
+    return vb.Record(outputs, whole.inputs, dt=whole.dt)
+
+
 def line(name: str, record: vb.Record, work: Callable[[], Any], repeats: int) -> str:
     """Return one line of the table."""
     spent = seconds(work, repeats)
@@ -47,7 +56,8 @@ def main(arguments: list[str] | None = None) -> None:
         small, large = record_of(3, 1, 4096), record_of(10, 3, 100_000 // share)
         ambient = record_of(10, 3, 200_000 // share).select(inputs=[])
         cva, twenty = vb.N4SID(block_rows=15), vb.N4SID(block_rows=40)
-        ssi = vb.SSI(block_rows=40)
+        ssi, projected = vb.SSI(block_rows=40), vb.SSI(kind="data", block_rows=40)
+        torn = torn_record(2000 // share)
         works: list[tuple[str, vb.Record, Callable[[], Any]]] = [
             (
                 "1 in 3 out 4096, order 6, all matrices, x0",
@@ -55,7 +65,12 @@ def main(arguments: list[str] | None = None) -> None:
                 lambda: vb.identify(small, cva, order=6),
             ),
             (
-                "3 in 10 out, order 20, regression model",
+                "1 in 3 out 4096, order 6, from the Gram",
+                small,
+                lambda: cva.realize(cva.decompose(small), 6),
+            ),
+            (
+                "3 in 10 out, order 20, from the Gram",
                 large,
                 lambda: twenty.realize(twenty.decompose(large), 20),
             ),
@@ -65,10 +80,12 @@ def main(arguments: list[str] | None = None) -> None:
                 lambda: vb.identify(large, twenty, order=20),
             ),
             ("3 in 10 out, all chosen", large, lambda: vb.identify(large)),
+            ("10 out, SSI covariance, orders 2..60", ambient, lambda: _sweep(ssi, ambient)),
+            ("10 out, SSI data, orders 2..60", ambient, lambda: _sweep(projected, ambient)),
             (
-                "10 out, SSI, orders 2..60",
-                ambient,
-                lambda: _sweep(ssi, ambient),
+                f"1 in 3 out, {2000 // share} pieces of 49 samples, order 6",
+                torn,
+                lambda: vb.identify(torn, vb.N4SID(block_rows=8), order=6),
             ),
         ]
         for name, record, work in works:

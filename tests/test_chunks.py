@@ -114,3 +114,12 @@ def test_unknown_offset_is_refused(rng: np.random.Generator) -> None:
     """The rule for offsets is one of three."""
     with pytest.raises(OptionError, match="offset must be one of estimate, mean, none"):
         open_stream(skewed(rng), "median")
+
+
+def test_chunks_are_rows_in_memory_whatever_the_record(rng: np.random.Generator) -> None:
+    """A record stored channel by channel is read as any other: kernels walk along rows."""
+    y = np.asfortranarray(rng.standard_normal((100, 3)))
+    stream = open_stream(Record(y, dt=0.1))
+    z = stream.read(stream.segments[0], 10, 60)
+    assert z.flags.c_contiguous
+    np.testing.assert_allclose(z, (y[10:60] - stream.centre) / stream.scale, rtol=1e-15)

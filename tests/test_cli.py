@@ -19,7 +19,7 @@ from vibrid.cli import main
 from vibrid.cli.options import option_type
 from vibrid.excitation import white_noise
 from vibrid.methods import METHODS
-from vibrid.structures import shear_frame
+from vibrid.structures import chain, shear_frame
 
 FRAME = shear_frame(2, 100.0, 2e4, damping_ratio=0.01)  # 1.39 and 3.64 Hz
 HEADER = "time [s],hammer [N],a1 [m/s2],a2 [m/s2]"
@@ -173,19 +173,29 @@ def test_info_says_what_a_file_holds(
     assert found["channels"][0]["unit"] == "N"
 
 
-def test_frequency_responses_are_told_but_not_identified(
+def test_frequency_responses_are_told_and_identified(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """A file that holds no time record is described by info and refused by identify."""
-    responses = FrequencyResponses(np.ones((4, 1, 1), complex), np.arange(4.0))
+    """A file of an analyser's frequency responses is described by info and realized by ERA."""
+    frame = chain([1.0, 1.5], [900.0, 700.0], damping_ratio=0.02)
+    lines = np.arange(257) / (512 * 0.05)
+    model = frame.state_space(forces=["f1"]).to_discrete(0.05)
+    responses = FrequencyResponses(model.frequency_response(lines), lines)
     monkeypatch.setattr("vibrid.cli.options.read_record", lambda *_, **__: responses)
     monkeypatch.chdir(tmp_path)
     Path("plate.uff").touch()
     assert main(["info", "plate.uff"]) == 0
-    assert "frequency responses, not a time record: 4 lines" in capsys.readouterr().out
-    assert run_json(capsys, "info", "plate.uff")["n_lines"] == 4
-    assert main(["identify", "plate.uff"]) == 1
-    assert "holds frequency responses" in capsys.readouterr().err
+    assert "frequency responses, not a time record: 257 lines" in capsys.readouterr().out
+    assert run_json(capsys, "info", "plate.uff")["n_lines"] == 257
+    assert main(["identify", "plate.uff", "--save", "plate.vibrid.h5"]) == 0
+    assert "method=era because these are frequency responses" in capsys.readouterr().out
+    found = run_json(capsys, "identify", "plate.uff", "--order", "4")
+    frequencies = [mode["frequency_hz"] for mode in found["modes"]]
+    np.testing.assert_allclose(frequencies, frame.frequencies_hz, rtol=1e-6)
+    assert main(["identify", "plate.uff", "--band", "1", "2"]) == 2
+    assert "--band filters time records" in capsys.readouterr().err
+    assert main(["identify", "plate.uff", "--method", "n4sid"]) == 2
+    assert "N4SID takes records" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(

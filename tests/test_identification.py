@@ -226,10 +226,12 @@ def test_wrong_options_are_refused(
 
 
 def test_other_data_are_refused() -> None:
-    """Responses and plain arrays are not records."""
+    """Plain arrays are not records, and responses are for ERA."""
+    with pytest.raises(vb.OptionError, match="Expected a Record; got ndarray"):
+        vb.identify(np.ones((5, 1)))  # type: ignore[arg-type]
     responses = vb.ImpulseResponses(np.ones((5, 1, 1)), dt=0.1)
-    with pytest.raises(vb.OptionError, match="Expected a Record or several; got ImpulseResponses"):
-        vb.identify(responses)  # type: ignore[arg-type]
+    with pytest.raises(vb.OptionError, match="N4SID takes records; for ImpulseResponses use ERA"):
+        vb.identify(responses, vb.N4SID())
     with pytest.raises(vb.OptionError, match="No record was given"):
         vb.identify([])
 
@@ -313,7 +315,7 @@ def test_held_out_error_is_that_of_an_explicit_split(rng: np.random.Generator) -
         fit = vb.identify(seen, method, order=6)
         modelled = fit.simulate_record(unseen)[20:]
         errors.append(1 - fit_percent(unseen.outputs[20:], modelled).mean() / 100)
-    found = held_out_errors(open_stream(record), method, None, [6])
+    found = held_out_errors(open_stream(record), method, None, [6], 24)
     # the stream's scale and centre are those of the whole record: rounding and no more
     np.testing.assert_allclose(found[6], np.mean(errors), rtol=2e-3)
 
@@ -348,7 +350,7 @@ def test_smallest_enough_allows_five_percent() -> None:
 def test_short_records_have_no_held_out_errors(rng: np.random.Generator) -> None:
     """Where halves are shorter than the horizon needs, there is no curve."""
     _, record = shaker_test(rng, n_samples=300)
-    assert held_out_errors(open_stream(record), vb.N4SID(block_rows=20), None, [4]) == {}
+    assert held_out_errors(open_stream(record), vb.N4SID(block_rows=20), None, [4], 40) == {}
 
 
 def test_disagreeing_damping_is_said(rng: np.random.Generator) -> None:

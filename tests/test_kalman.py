@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from vibrid.kalman import riccati_gain, spectral_radius
+from vibrid.kalman import innovation_form, riccati_gain, spectral_radius
 from vibrid.record import Floats
 
 
@@ -62,6 +62,49 @@ def test_no_gain_is_none(a: float, c: float, q: float, r: float) -> None:
     """Where no steady, stable predictor exists the answer is None, not a wrong gain."""
     matrices = (np.array([[value]]) for value in (a, c, q, r, 0.0))
     assert riccati_gain(*matrices) is None
+
+
+def covariances(A: Floats, C: Floats, K: Floats, innovation: Floats) -> tuple[Floats, Floats]:
+    """Return G and Λ(0) of an innovations model, its state covariance by summing powers."""
+    P, power = np.zeros_like(A), K
+    for _ in range(2000):
+        P += power @ innovation @ power.T
+        power = A @ power
+    return A @ P @ C.T + K @ innovation, C @ P @ C.T + innovation
+
+
+def test_innovation_form_of_exact_covariances(rng: np.random.Generator) -> None:
+    """Covariances of an innovations model give back its gain, and need no white noise."""
+    A, C, K, innovation = innovations_model(rng)
+    found = innovation_form(A, C, *covariances(A, C, K, innovation))
+    assert found is not None
+    np.testing.assert_allclose(found[0], K, atol=1e-8)
+    np.testing.assert_allclose(found[1], innovation, rtol=1e-8)
+    np.testing.assert_allclose(
+        found[2], A @ found[2] @ A.T + K @ innovation @ K.T, atol=1e-8 * abs(found[2]).max()
+    )
+    assert found[3] == 0
+
+
+def test_covariances_of_no_process_get_white_noise(rng: np.random.Generator) -> None:
+    """Where Λ(0) is too small for the rest, enough is added for a stable predictor."""
+    A, C, K, innovation = innovations_model(rng)
+    G, L0 = covariances(A, C, K, innovation)
+    found = innovation_form(A, C, G, 0.3 * L0)
+    assert found is not None
+    gain, left, P, raised = found
+    assert raised > 0
+    assert spectral_radius(A - gain @ C) < 1
+    assert np.linalg.eigvalsh(left)[0] > 0
+    whitened = 0.3 * L0 + raised * np.diag(np.diag(0.3 * L0))
+    np.testing.assert_allclose(C @ P @ C.T + left, whitened, rtol=1e-8)
+    np.testing.assert_allclose(A @ P @ C.T + gain @ left, G, atol=1e-8 * abs(G).max())
+
+
+def test_unstable_models_have_no_innovation_form() -> None:
+    """No stationary process has a pole on or outside the circle."""
+    one = np.ones((1, 1))
+    assert innovation_form(one, one, one, 2 * one) is None
 
 
 def test_spectral_radius() -> None:

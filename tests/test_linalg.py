@@ -7,7 +7,14 @@ import pytest
 from threadpoolctl import threadpool_info
 
 from vibrid import linalg
-from vibrid.linalg import divide_by_lower, leading_svd, left_whitener, one_blas_thread, solve_upper
+from vibrid.linalg import (
+    divide_by_lower,
+    leading_svd,
+    left_whitener,
+    one_blas_thread,
+    semidefinite_root,
+    solve_upper,
+)
 from vibrid.record import Floats
 
 
@@ -110,3 +117,16 @@ def test_one_blas_thread_is_limited_and_given_back() -> None:
         assert set(threads()) == {1}
         raise RuntimeError("stop")
     assert threads() == before
+
+
+def test_root_of_a_semidefinite_matrix(rng: np.random.Generator) -> None:
+    """Dependent and zero columns, and sizes far apart, change nothing: RᵀR is the matrix."""
+    tall = rng.standard_normal((40, 5)) @ rng.standard_normal((5, 8)) * 10.0 ** np.arange(-4, 4)
+    tall[:, 2] = 0
+    gram = tall.T @ tall
+    root = semidefinite_root(gram)
+    size = np.sqrt(np.diag(gram))
+    assert len(root) == 5
+    np.testing.assert_array_less(
+        np.abs(root.T @ root - gram), 1e-13 * np.outer(size, size) + 1e-300
+    )

@@ -80,7 +80,9 @@ class Stream:
     def read(self, segment: Segment, start: int, stop: int) -> Floats:
         """Return samples [start, stop) of a segment, centred and scaled (rows, channels)."""
         rows = self.records[segment.record].read(segment.start + start, segment.start + stop)
-        return (rows - self.centre) / self.scale
+        scaled = np.subtract(rows, self.centre, order="C")  # whatever order the record has
+        scaled /= self.scale
+        return np.asarray(scaled)
 
     def chunks(self, segment: Segment, rows: int | None = None) -> Iterator[tuple[int, Floats]]:
         """Yield (first row, samples) of a segment from front to end."""
@@ -154,10 +156,11 @@ def _mean_and_std(records: Sequence[Record], segments: Sequence[Segment]) -> tup
         step = rows_per_chunk(len(mean))
         for start in range(segment.start, segment.stop, step):
             rows = record.read(start, min(start + step, segment.stop))
-            chunk_mean = rows.mean(axis=0)
+            chunk_mean = np.ones(len(rows)) @ rows / len(rows)  # BLAS: several times faster
             shift = chunk_mean - mean
             total = count + len(rows)
-            squares += ((rows - chunk_mean) ** 2).sum(axis=0) + shift**2 * count * len(rows) / total
+            moved = rows - chunk_mean
+            squares += np.einsum("tc,tc->c", moved, moved) + shift**2 * count * len(rows) / total
             mean += shift * len(rows) / total
             count = total
     return mean, np.sqrt(squares / count)

@@ -55,7 +55,7 @@ class Fit:
     kalman_gain : array (n, n_outputs)
         Zero where the data hold no noise to learn it from (a finding says so).
     innovation_covariance : array (n_outputs, n_outputs)
-        Of the one-step prediction errors.
+        Of the one-step prediction errors; (0, 0) of a realization of responses.
     initial_states : array (n_segments, n)
         One per contiguous piece, at its first sample; NaN where not estimated.
     segments : tuple of Segment
@@ -70,7 +70,8 @@ class Fit:
     singular_values : array
         Of the method's Hankel or projected matrix.
     state_covariance : array (n, n)
-        Of the states on the identification record: the prior of initial states elsewhere.
+        Of the states on the identification record: the prior of initial states elsewhere;
+        (0, 0) of a realization of responses.
     parameter_covariance : array or None
     diagnostics : Diagnostics
     gram : BlockGram or None
@@ -215,13 +216,14 @@ class Fit:
             if not np.isnan(initial).any():
                 return initial
             initial = "map"
+        # of a realization of responses both are unknown, arrays without size
         return initial_state(
             predictor,
             z,
             z[:, self.model.n_inputs :],
             initial,
-            self.innovation_covariance,
-            self.state_covariance,
+            self.innovation_covariance if self.innovation_covariance.size else None,
+            self.state_covariance if self.state_covariance.size else None,
         )
 
     def check_channels(self, record: Record) -> None:
@@ -250,6 +252,20 @@ class Decomposition(Protocol):
     """The expensive half of a method: all orders follow from it without the data."""
 
     @property
+    def method(self) -> Any:
+        """The method with every option as it was used."""
+        ...
+
+    @property
+    def reasons(self) -> tuple[str, ...]:
+        """Why options that were left out became what they are."""
+        ...
+
+    @property
+    def findings(self) -> tuple[Finding, ...]: ...
+    @property
+    def n_columns(self) -> int: ...
+    @property
     def largest_order(self) -> int: ...
     @property
     def rank_limited(self) -> bool:
@@ -259,14 +275,25 @@ class Decomposition(Protocol):
     @property
     def singular_values(self) -> Floats: ...
     @property
-    def gram(self) -> BlockGram: ...
+    def gram(self) -> BlockGram | None: ...
     def criterion(self, order: int) -> tuple[float, bool]:
         """Return the information criterion of this order, and whether it is stable."""
         ...
 
+    def factors(self, order: int) -> tuple[Floats, Floats | None]:
+        """Return observability and, where known, controllability from the data.
+
+        In the coordinates of the order's model, outputs scaled by positive weights.
+        """
+        ...
+
 
 class Method(Protocol):
-    """A frozen dataclass whose fields are its options; one file, one line in METHODS."""
+    """A frozen dataclass whose fields are its options; one file, one line in METHODS.
+
+    A horizon called `block_rows` is chosen by `identify` where it is None; other sizes are
+    chosen by `decompose`, which says why.
+    """
 
     def decompose(
         self,

@@ -82,12 +82,22 @@ def divide_by_lower(matrix: Floats, lower: Floats) -> tuple[Floats, int]:
 
 def solve_upper(upper: Floats, right_hand_side: Floats) -> Floats:
     """Solve upper · x = right_hand_side in the least-squares sense, of minimum norm if singular."""
-    if len(upper) == 0:
-        return np.zeros((0, right_hand_side.shape[1]))
+    if len(upper) == 0 or right_hand_side.shape[1] == 0:
+        return np.zeros((len(upper), right_hand_side.shape[1]))
     diagonal = np.abs(np.diag(upper))
     if diagonal.min() > RANK_TOLERANCE * diagonal.max():
         return np.asarray(sla.solve_triangular(upper, right_hand_side, check_finite=False))
     return np.asarray(sla.lstsq(upper, right_hand_side, cond=RANK_TOLERANCE)[0])
+
+
+def semidefinite_root(gram: Floats) -> Floats:
+    """Return R with RᵀR = gram, directions at rounding level left out (pivoted Cholesky)."""
+    size = np.sqrt(np.diag(gram))
+    size[size == 0] = 1
+    upper, order, rank, _ = sla.lapack.dpstrf(gram / size / size[:, None])
+    root = np.zeros((rank, len(gram)))
+    root[:, order - 1] = np.triu(upper)[:rank]
+    return root * size
 
 
 def left_whitener(matrix: Floats) -> tuple[Floats, Floats]:

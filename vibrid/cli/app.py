@@ -23,20 +23,26 @@ from ..errors import DataError, OptionError, VibridError
 from ..files import load
 from ..files.fits import is_fit
 from ..files.survey import survey
+from ..fit import Fit
+from ..physical import fit_rayleigh
 from ..record import FrequencyResponses
 from ..reporting import (
     Outcome,
+    ResponsesOutcome,
     describe_fit,
     describe_record,
     describe_responses,
     fit_as_json,
     outcome_as_json,
     responses_as_json,
+    responses_outcome_as_json,
     summary,
+    summary_of_responses,
     survey_as_json,
 )
+from ..reporting.physical import describe_physical, physical_as_json
 from . import demo as demos
-from .options import RESULTS, Identifying, MethodOptions, Reading, Results
+from .options import RESULTS, Identifying, MethodOptions, Physical, Reading, Results
 from .work import identify_file, progress_on
 
 DONE, FAILED, WRONG_USE, INTERRUPTED = 0, 1, 2, 130
@@ -44,6 +50,7 @@ DEBUG = "VIBRID_DEBUG"
 REPEATABLE = ("--quantity", "--dof", "--unit")
 
 AS_READ, AUTOMATIC, NO_OPTIONS, PRINTED = Reading(), Identifying(), MethodOptions(), Results()
+AS_FOUND = Physical()
 
 Json = Annotated[
     bool, Parameter(help="Print one JSON object instead of text. Default: text.", group=RESULTS)
@@ -84,7 +91,12 @@ def identify(
     """
     with progress_on(_errors()) as progress:
         outcome = identify_file(file, reading, identifying, options, results.save, progress)
-    if results.json:
+    if isinstance(outcome, ResponsesOutcome):
+        if results.json:
+            _print_json(responses_outcome_as_json(outcome))
+        else:
+            _print(summary_of_responses(outcome))
+    elif results.json:
         _print_json(outcome_as_json(outcome))
     else:
         _print(summary(outcome))
@@ -126,6 +138,55 @@ def _info_of_fit(file: Path, reading: Reading, as_json: bool) -> int:
     else:
         _print(describe_fit(fit, file.name))
     return DONE
+
+
+@app.command
+def physical(
+    file: Path,
+    /,
+    *,
+    reading: Reading = AS_READ,
+    identifying: Identifying = AUTOMATIC,
+    options: MethodOptions = NO_OPTIONS,
+    making: Physical = AS_FOUND,
+    results: Results = PRINTED,
+) -> int:
+    """Make mass, damping and stiffness matrices from a record or a saved model, with a verdict.
+
+    For example: vibrid physical run.csv --inputs hammer --dof hammer=f1 a1=f1 a2=f2 --order 4
+
+    Parameters
+    ----------
+    file
+        A record (CSV, text, NPY, NPZ, MAT, HDF5, UFF 58, WAV, TDMS), or a model by --save.
+    """
+    fit, filtered = _fit_of(file, reading, identifying, options, results)
+    model = making.of(fit, filtered)
+    oscillating = int((model.poles.imag > 0).sum())
+    law = fit_rayleigh(model) if oscillating > 1 else None
+    if results.json:
+        _print_json(physical_as_json(model, law))
+    else:
+        _print(describe_physical(model, law))
+    return DONE
+
+
+def _fit_of(
+    file: Path,
+    reading: Reading,
+    identifying: Identifying,
+    options: MethodOptions,
+    results: Results,
+) -> tuple[Fit, bool]:
+    """Return the saved or identified model, and whether the record was filtered."""
+    if is_fit(file):
+        if (reading, identifying, options) != (AS_READ, AUTOMATIC, NO_OPTIONS):
+            raise OptionError(f"{file} holds a saved model; it is not identified again.")
+        return load(file), False
+    with progress_on(_errors()) as progress:
+        outcome = identify_file(file, reading, identifying, options, results.save, progress)
+    filtered = isinstance(outcome, Outcome) and outcome.band is not None
+    return outcome.fit, filtered
 
 
 @app.command

@@ -16,14 +16,17 @@ from cyclopts import Group, Parameter
 from ..chunks import OFFSETS
 from ..errors import OptionError, check_choice
 from ..files import read_record
+from ..fit import Fit
 from ..identification.stability import POLICIES
 from ..methods import METHODS
+from ..physical import MechanicalModel, mechanical_model
 from ..record import QUANTITIES, FrequencyResponses, Record
 
 READING = Group("Reading the file", sort_key=1)
 IDENTIFYING = Group("Identifying", sort_key=2)
 METHOD_OPTIONS = Group("Options of the methods named in brackets", sort_key=3)
-RESULTS = Group("Results", sort_key=4)
+PHYSICAL = Group("Physical coordinates", sort_key=4)
+RESULTS = Group("Results", sort_key=5)
 
 LARGEST_LOADED = 2**31  # bytes as float64: larger records stay on disk
 
@@ -207,6 +210,49 @@ class Results:
     )
 
 
+@Parameter(name="*", group=PHYSICAL)
+@dataclass(frozen=True)
+class Physical:
+    """How matrices are made from a model."""
+
+    mass: Annotated[
+        Names,
+        _help(
+            "Known masses [kg]: the total, or one a DOF as a,b,c in the order printed. "
+            "Default: none."
+        ),
+    ] = ()
+    structure: Annotated[
+        str | None,
+        _help("Nearest matrices that are symmetric, diagonal (M) or a chain. Default: as found."),
+    ] = None
+    delays: Annotated[
+        bool, _help("Set the delays of sensors right as estimated. Default: report them only.")
+    ] = False
+    hold: Annotated[
+        str | None,
+        _help(
+            "How inputs move between samples: zoh, foh or band_limited. Default: zoh for forces, "
+            "band_limited for base motion and after --band."
+        ),
+    ] = None
+    modes: Annotated[
+        Names, _help("Frequencies [Hz] of the modes to use, a,b,c. Default: chosen.")
+    ] = ()
+
+    def of(self, fit: Fit, filtered: bool) -> MechanicalModel:
+        """Return the mechanical model of a fit."""
+        masses = numbers("mass", self.mass)
+        return mechanical_model(
+            fit,
+            hold=self.hold or ("band_limited" if filtered else None),
+            mass=(masses[0] if len(masses) == 1 else masses) if masses else None,
+            structure=self.structure,
+            delays=self.delays,
+            frequencies_hz=numbers("modes", self.modes) or None,
+        )
+
+
 def split_names(values: Sequence[str] | None) -> list[str] | None:
     """Return names given with commas, repeated, or both; double quotes keep a comma.
 
@@ -234,6 +280,15 @@ def pairs(option: str, values: Sequence[str]) -> dict[str, str]:
             raise OptionError(f"--{option} takes NAME=VALUE; got {text!r}.")
         found[name] = value
     return found
+
+
+def numbers(option: str, texts: Names) -> list[float]:
+    """Return the numbers of a,b,c or of a repeated option."""
+    words = split_names(texts) or []
+    try:
+        return [float(word) for word in words]
+    except ValueError:
+        raise OptionError(f"--{option} must be numbers, a,b,c; got {', '.join(words)}.") from None
 
 
 def method_of(name: str, given: Mapping[str, Any]) -> Any:
@@ -268,7 +323,8 @@ def option_type(methods: Mapping[str, type]) -> type:
     for name, kind in methods.items():
         hints = typing.get_type_hints(kind)
         for field in dataclasses.fields(kind):
-            fields.setdefault(field.name, []).append((name, field, hints[field.name]))
+            hint = field.metadata.get("type", hints[field.name])
+            fields.setdefault(field.name, []).append((name, field, hint))
     made = dataclasses.make_dataclass(
         "MethodOptions",
         [

@@ -9,13 +9,13 @@ from typing import Any
 
 from rich.console import Console
 
-from ..errors import DataError, PathError, check_writable
+from ..errors import DataError, OptionError, PathError, check_writable
 from ..files import save
 from ..files.survey import survey
 from ..fit import Fit
 from ..identification import Assessment, assess, assess_unseen, identify
 from ..record import FrequencyResponses, Record
-from ..reporting import Outcome
+from ..reporting import Outcome, ResponsesOutcome
 from .options import Identifying, MethodOptions, Reading, given_options, loaded, method_of
 
 Progress = Callable[[str, int, int], None]
@@ -38,7 +38,7 @@ def identify_file(
     options: MethodOptions,
     target: Path | None,
     progress: Progress,
-) -> Outcome:
+) -> Outcome | ResponsesOutcome:
     """Return all that there is to say about a file, the model saved if `target` is given."""
     identifying.check()
     given = given_options(options)
@@ -48,8 +48,10 @@ def identify_file(
         check_writable(target)
         _check_kept(target, (file, reading.channels))
     progress("read", 0, 1)
-    record = as_record(reading.read(file), file)
-    return identify_record(record, identifying, given, target, progress)
+    content = reading.read(file)
+    if isinstance(content, FrequencyResponses):
+        return _identify_responses(content, file.name, identifying, given, target, progress)
+    return identify_record(content, identifying, given, target, progress)
 
 
 def _check_kept(target: Path, read: tuple[Path | None, ...]) -> None:
@@ -59,14 +61,29 @@ def _check_kept(target: Path, read: tuple[Path | None, ...]) -> None:
             raise PathError(f"--save would overwrite {path}, which is read; name another file.")
 
 
-def as_record(content: Record | FrequencyResponses, file: Path) -> Record:
-    """Return a record, or say that the file holds something else."""
-    if isinstance(content, Record):
-        return content
-    raise DataError(
-        f"{file} holds frequency responses; identify takes time records. "
-        f"See what it holds with: vibrid info {file}"
+def _identify_responses(
+    responses: FrequencyResponses,
+    name: str,
+    identifying: Identifying,
+    given: dict[str, Any],
+    target: Path | None,
+    progress: Progress,
+) -> ResponsesOutcome:
+    """Identify from frequency responses, and save the model."""
+    if identifying.band is not None:
+        raise OptionError(f"--band filters time records; {name} holds frequency responses.")
+    chosen = identifying.method or "era"
+    fit = identify(
+        responses,
+        method_of(chosen, given),
+        identifying.chosen_order(),
+        feedthrough=identifying.feedthrough,
+        stability=identifying.stability,
+        progress=progress,
     )
+    reason = "as asked for" if identifying.method else "because these are frequency responses"
+    saved = None if target is None else save(fit, target)
+    return ResponsesOutcome(responses, name, reason, fit, saved)
 
 
 def identify_record(

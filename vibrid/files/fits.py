@@ -133,9 +133,34 @@ def _write(file: Any, fit: Fit) -> None:
     file.attrs["segments"] = json.dumps([dataclasses.astuple(s) for s in fit.segments])
     file.attrs["inputs"] = json.dumps([dataclasses.asdict(c) for c in fit.input_channels])
     file.attrs["outputs"] = json.dumps([dataclasses.asdict(c) for c in fit.output_channels])
-    names = {kind: name for name, kind in METHODS.items()}
-    file.attrs["method"] = names[type(fit.method)]
-    file.attrs["options"] = json.dumps(dataclasses.asdict(fit.method))
+    file.attrs["method"] = _method_name(fit.method)
+    file.attrs["options"] = json.dumps(_options(fit.method))
+
+
+def _method_name(method: Any) -> str:
+    return next(name for name, kind in METHODS.items() if type(method) is kind)
+
+
+def _options(method: Any) -> dict[str, Any]:
+    """Return the options of a method; one that is a method itself keeps its name."""
+    options = {}
+    for field in dataclasses.fields(method):
+        value = getattr(method, field.name)
+        if dataclasses.is_dataclass(value):
+            value = {"method": _method_name(value), **_options(value)}
+        options[field.name] = value
+    return options
+
+
+def _method(name: str, options: dict[str, Any]) -> Any:
+    made = {}
+    for key, value in options.items():
+        if isinstance(value, dict):
+            inner = dict(value)
+            made[key] = _method(inner.pop("method"), inner)
+        else:
+            made[key] = tuple(value) if isinstance(value, list) else value
+    return METHODS[name](**made)
 
 
 def _write_gram(group: Any, gram: BlockGram) -> None:
@@ -152,10 +177,6 @@ def _read(file: Any) -> Fit:
         for name in ("figures", "findings", "segments", "inputs", "outputs", "options")
     }
     segments = tuple(Segment(*each) for each in attributes["segments"])
-    options = {
-        name: tuple(value) if isinstance(value, list) else value
-        for name, value in attributes["options"].items()
-    }
     figures = {
         **{
             name: tuple(value) if isinstance(value, list) else value
@@ -167,7 +188,7 @@ def _read(file: Any) -> Fit:
     return Fit(
         model=StateSpace(A, B, C, D, float(file["model"].attrs["dt"])),
         segments=segments,
-        method=METHODS[file.attrs["method"]](**options),
+        method=_method(file.attrs["method"], attributes["options"]),
         order=len(A),
         parameter_covariance=None if covariance is None else covariance[()],
         diagnostics=Diagnostics(figures, tuple(Finding(**f) for f in attributes["findings"])),

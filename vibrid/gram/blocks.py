@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -78,10 +79,10 @@ class BlockGram:
     def n_columns(self) -> int:
         return int(self.columns.sum())
 
-    @property
+    @cached_property
     def projected_columns(self) -> int:
         """Columns left after the constant of every segment is projected out."""
-        used = len(np.unique(self.owners)) if self.offset == "estimate" else 0
+        used = len(self._used) if self.offset == "estimate" else 0
         return self.n_columns - used
 
     def shorten(self, n_rows: int) -> BlockGram:
@@ -137,12 +138,12 @@ class BlockGram:
             upper[:, still] = 0
         return np.asarray(upper + np.triu(upper, 1).T)
 
-    @property
+    @cached_property
     def _used(self) -> np.ndarray[tuple[int], np.dtype[np.int64]]:
         """The segments that have columns."""
         return np.unique(self.owners)
 
-    @property
+    @cached_property
     def _lengths(self) -> Floats:
         """Columns of each used segment."""
         return np.array([self.columns[self.owners == k].sum() for k in self._used], dtype=float)
@@ -170,13 +171,11 @@ class BlockGram:
         """Fill the upper triangle by displacement, one block row from the one above it."""
         c, n = self.n_channels, self.n_rows
         head, tail = self._edges()
+        moved = tail.T @ tail
+        moved -= head.T @ head
         gram = np.zeros((n * c, n * c))
         gram[:c] = self.lags.sum(axis=0).transpose(1, 0, 2).reshape(c, n * c)
         for k in range(n - 1):
             row, below = slice(k * c, (k + 1) * c), slice((k + 1) * c, (k + 2) * c)
-            gram[below, (k + 1) * c :] = (
-                gram[row, k * c : -c]
-                + tail[:, row].T @ tail[:, k * c :]
-                - head[:, row].T @ head[:, k * c :]
-            )
+            gram[below, (k + 1) * c :] = gram[row, k * c : -c] + moved[row, k * c :]
         return np.triu(gram)

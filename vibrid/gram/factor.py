@@ -67,8 +67,12 @@ def scaled_cholesky(gram: Floats) -> tuple[Floats | None, float]:
     A column of zeros is left out of the test and has a zero row and column in the factor.
     """
     size = np.sqrt(np.diag(gram))
-    used = np.flatnonzero(size > 0)
-    unit = gram[np.ix_(used, used)] / size[used] / size[used, None]
+    empty = np.flatnonzero(size == 0)
+    scale = size.copy()
+    scale[empty] = 1
+    unit = gram / scale
+    unit /= scale[:, None]
+    unit[empty, empty] = 1
     try:
         upper = sla.cholesky(unit, overwrite_a=True, check_finite=False)
     except sla.LinAlgError:
@@ -76,9 +80,8 @@ def scaled_cholesky(gram: Floats) -> tuple[Floats | None, float]:
     pivot = float(np.diag(upper).min() ** 2) if len(upper) else 1.0
     if pivot <= PIVOT_LIMIT:
         return None, pivot
-    triangle = np.zeros_like(gram)
-    triangle[np.ix_(used, used)] = upper * size[used]
-    return triangle, pivot
+    upper *= size
+    return upper, pivot
 
 
 def stacked_qr(blocks: Iterator[Floats], n_columns: int) -> Floats:

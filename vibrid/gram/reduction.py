@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from itertools import pairwise
-
 import numpy as np
 import scipy.fft as fft
+from numpy.typing import NDArray
 
 from ..chunks import Segment, Stream
 from ..errors import DataError
@@ -16,7 +15,9 @@ from .blocks import BlockGram
 TIME_BLOCKS = 50  # partial sums kept, for resampling; fewer on short records
 SHORTEST_BLOCK = 8  # in units of block rows: shorter time blocks would hardly be independent
 FFT_LENGTHS = 6  # FFT length in units of block rows: flat optimum between 4 and 8
-BATCH_BYTES = 8 * 2**20  # segments transformed together stay in cache
+BATCH_BYTES = 2**19  # pieces transformed together stay in cache
+
+Edges = NDArray[np.int64]
 
 
 def reduce(stream: Stream, n_rows: int) -> BlockGram:
@@ -30,30 +31,31 @@ def reduce(stream: Stream, n_rows: int) -> BlockGram:
     DataError
         No segment is as long as `n_rows` samples.
     """
-    parts = [
-        (owner, start, stop)
+    longest = max(SHORTEST_BLOCK * n_rows, -(-stream.n_samples // TIME_BLOCKS))
+    edges = {
+        owner: _time_blocks(segment, n_rows, longest)
         for owner, segment in enumerate(stream.segments)
-        for start, stop in _time_blocks(segment, n_rows, stream.n_samples)
-    ]
-    if not parts:
-        longest = max(segment.length for segment in stream.segments)
+        if segment.length >= n_rows
+    }
+    if not edges:
+        most = max(segment.length for segment in stream.segments)
         raise DataError(
             f"{n_rows} block rows need a piece of at least {n_rows} samples without gaps; the "
-            f"longest has {longest}. Use fewer block rows or a longer record."
+            f"longest has {most}. Use fewer block rows or a longer record."
         )
     with one_blas_thread():
-        blocks = [
-            _block(stream, stream.segments[owner], start, stop, n_rows)
-            for owner, start, stop in parts
+        parts = [
+            _reduce_segment(stream, stream.segments[owner], inner, n_rows)
+            for owner, inner in edges.items()
         ]
-    lags, sums, heads, tails = (np.stack(each) for each in zip(*blocks, strict=True))
+    lags, sums, heads, tails = (np.concatenate(each) for each in zip(*parts, strict=True))
     return BlockGram(
         lags=lags,
         sums=sums,
         heads=heads,
         tails=tails,
-        columns=np.array([stop - start for _, start, stop in parts]),
-        owners=np.array([owner for owner, _, _ in parts]),
+        columns=np.concatenate([np.diff(inner) for inner in edges.values()]),
+        owners=np.repeat(list(edges), [len(inner) - 1 for inner in edges.values()]),
         segments=stream.segments,
         centre=stream.centre,
         scale=stream.scale,
@@ -65,10 +67,6 @@ def reduce(stream: Stream, n_rows: int) -> BlockGram:
 def lagged_sums(z: Floats, n_lags: int) -> Floats:
     """Return R[l] = Σ_t z(t) z(t+l)ᵀ for l < n_lags over t < len(z) − n_lags + 1.
 
-    Overlap-save: pieces of `hop` columns are transformed with and without the samples that
-    the lags reach into; the products add up in the frequency domain, pieces being the inner
-    dimension of a batched matrix product, and one inverse transform ends it.
-
     Parameters
     ----------
     z : array (n_samples, c)
@@ -78,28 +76,41 @@ def lagged_sums(z: Floats, n_lags: int) -> Floats:
     -------
     array (n_lags, c, c)
     """
-    columns, c = len(z) - n_lags + 1, z.shape[1]
-    length = _fft_length(n_lags, columns)
+    return np.asarray(_lagged_sums(z, n_lags, np.array([0, len(z) - n_lags + 1]))[0])
+
+
+def _lagged_sums(z: Floats, n_lags: int, edges: Edges) -> Floats:
+    """Return the lagged sums over the columns between consecutive edges, (parts, n_lags, c, c).
+
+    Overlap-save: pieces of `hop` columns are transformed with and without the samples that
+    the lags reach into; the products add up in the frequency domain, a part's pieces being the
+    inner dimension of a batched matrix product, and one inverse transform ends it.
+    """
+    c, longest = z.shape[1], int(np.diff(edges).max())
+    length = _fft_length(n_lags, longest)
     hop = length - n_lags + 1
+    pieces = -(-longest // hop)
     batch = max(1, BATCH_BYTES // (16 * length * c))
-    product = np.zeros((length // 2 + 1, c, c), dtype=np.complex128)
-    for first in range(0, columns, hop * batch):
-        ahead, here = _pieces(z, range(first, min(first + hop * batch, columns), hop), hop, length)
-        left = np.conj(fft.rfft(here, axis=1)).transpose(1, 2, 0)
-        product += left @ fft.rfft(ahead, axis=1).transpose(1, 0, 2)
-    return np.asarray(fft.irfft(product, n=length, axis=0)[:n_lags])
+    together = max(1, min(batch // pieces, BATCH_BYTES // (16 * length * c**2)))
+    sums = np.empty((len(edges) - 1, n_lags, c, c))
+    for k in range(0, len(sums), together):
+        starts, stops = edges[:-1][k : k + together, None], edges[1:][k : k + together, None]
+        product = np.zeros((len(starts), length // 2 + 1, c, c), dtype=np.complex128)
+        for first in range(0, pieces, batch):
+            at = starts + hop * np.arange(first, min(first + batch, pieces))
+            ahead, here = _pieces(z, at, stops, hop, length)
+            left = np.conj(fft.rfft(here, axis=2)).transpose(0, 2, 3, 1)
+            product += left @ fft.rfft(ahead, axis=2).transpose(0, 2, 1, 3)
+        sums[k : k + together] = fft.irfft(product, n=length, axis=1)[:, :n_lags]
+    return sums
 
 
-def _pieces(z: Floats, starts: range, hop: int, length: int) -> tuple[Floats, Floats]:
-    columns = len(z) - (length - hop)
-    ahead = np.zeros((len(starts), length, z.shape[1]))
-    for k, start in enumerate(starts):
-        piece = z[start : start + length]
-        ahead[k, : len(piece)] = piece
-    here = ahead.copy()
-    here[:, hop:] = 0
-    here[-1, max(0, columns - starts[-1]) :] = 0
-    return ahead, here
+def _pieces(z: Floats, starts: Edges, stops: Edges, hop: int, length: int) -> tuple[Floats, Floats]:
+    """Return `length` samples from each start on, and those of them that are columns."""
+    at = starts[..., None] + np.arange(length)
+    ahead = z.take(at, axis=0, mode="clip")
+    columns = (at < np.minimum(starts + hop, stops)[..., None])[..., None]
+    return ahead, ahead * columns
 
 
 def _fft_length(n_lags: int, columns: int) -> int:
@@ -107,28 +118,28 @@ def _fft_length(n_lags: int, columns: int) -> int:
     return int(fft.next_fast_len(min(longest, max(FFT_LENGTHS * n_lags, 64)), real=True))
 
 
-def _block(
-    stream: Stream, segment: Segment, start: int, stop: int, n_rows: int
+def _reduce_segment(
+    stream: Stream, segment: Segment, edges: Edges, n_rows: int
 ) -> tuple[Floats, Floats, Floats, Floats]:
-    """Return lags, sums, head and tail of columns [start, stop), a stretch in memory at a time."""
-    c = len(stream.scale)
-    lags, sums = np.zeros((n_rows, c, c)), np.zeros(c)
-    for first in range(start, stop, rows_per_chunk(c)):
-        last = min(first + rows_per_chunk(c), stop)
-        z = stream.read(segment, first, last + n_rows - 1)
-        lags += lagged_sums(z, n_rows)
-        sums += z[: last - first].sum(axis=0)
-        if first == start:
-            head = z[: n_rows - 1].copy()
-    return lags, sums, head, z[last - first :].copy()
+    """Return lags, sums, heads and tails of the blocks between edges, a chunk at a time."""
+    c, count = len(stream.scale), len(edges) - 1
+    lags, sums = np.zeros((count, n_rows, c, c)), np.zeros((count, c))
+    at_edges = np.empty((count + 1, n_rows - 1, c))
+    step = rows_per_chunk(c)
+    for start in range(0, int(edges[-1]), step):
+        stop = min(start + step, int(edges[-1]))
+        z = stream.read(segment, start, stop + n_rows - 1)
+        cuts = np.unique(np.clip(edges, start, stop))
+        blocks = np.searchsorted(edges, cuts[:-1], side="right") - 1
+        lags[blocks] += _lagged_sums(z, n_rows, cuts - start)
+        sums[blocks] += np.add.reduceat(z[: stop - start], cuts[:-1] - start, axis=0)
+        here = (edges >= start) & (edges <= stop)
+        at_edges[here] = z[(edges[here] - start)[:, None] + np.arange(n_rows - 1)]
+    return lags, sums, at_edges[:-1], at_edges[1:]
 
 
-def _time_blocks(segment: Segment, n_rows: int, n_samples: int) -> list[tuple[int, int]]:
-    """Cut a segment's Hankel columns into blocks of about 1/50 of all samples."""
+def _time_blocks(segment: Segment, n_rows: int, longest: int) -> Edges:
+    """Return the edges of blocks of a segment's Hankel columns, each about `longest` long."""
     columns = segment.length - n_rows + 1
-    if columns < 1:
-        return []
-    longest = max(SHORTEST_BLOCK * n_rows, -(-n_samples // TIME_BLOCKS))
     count = max(1, columns // longest)
-    edges = np.linspace(0, columns, count + 1).round().astype(int)
-    return [(int(a), int(b)) for a, b in pairwise(edges)]
+    return np.linspace(0, columns, count + 1).round().astype(np.int64)

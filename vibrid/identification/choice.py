@@ -10,18 +10,24 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..chunks import Stream
-from ..errors import DataError, UnstableModelError
-from ..gram import reduce
-from ..methods.preparation import check_length
+from .candidates import (
+    AS_GOOD,
+    CLOSE,
+    Candidate,
+    Mask,
+    first_close,
+    first_simulating,
+    horizons,
+    shortened,
+    simulation_error_of,
+    weighting_of,
+)
 from .held_out import GRID, held_out_errors, smallest_enough
 from .scan import OrderScan, choose_order, scan_orders
 
-HORIZONS = (10, 20, 40, 80)
-LARGEST_HANKEL = 2600  # rows: beyond it a factorization takes seconds
-CLOSE = 0.02  # of the criterion a sample and output: a longer horizon must gain more
+KEPT = 1.2  # of the simulation error: more with a few more columns is an accident
 
 Progress = Callable[[str, int, int], None]
-Mask = bool | Sequence[bool] | None
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,31 +47,129 @@ def choose(
 ) -> Choice:
     """Return horizon and order: as asked for, or by criterion, unseen halves and steadiness.
 
+    The horizons tried are 10, 20, 40 and 80 block rows. With inputs those (and the
+    weightings, where that is open) count that simulate the data within 2 % of the best error
+    at the order asked for or found; of these, and without inputs of all, the shortest whose
+    prediction error is within 2 % of the best. Where the inputs seem to follow the outputs,
+    transition and completion become those that feedback does not bias.
+
     Raises
     ------
     DataError
         The record is too short for the shortest horizon.
+    """
+    given = getattr(method, "block_rows", 0) is not None
+    if given:
+        decomposition = method.decompose(stream, feedthrough=feedthrough)
+        candidates = [(decomposition.method, decomposition)]
+        reasons = decomposition.reasons or _as_asked(method)
+    else:
+        candidates, reasons = horizons(stream, method, order, feedthrough), ()
+    if isinstance(order, str):
+        chosen = _with_order(stream, candidates, feedthrough, reasons, progress)
+    else:
+        chosen = _best_for_order(candidates, order, stream, reasons)
+    if not given:
+        chosen = _afresh(stream, chosen, feedthrough)
+    return _without_feedback(chosen)
+
+
+def _with_order(
+    stream: Stream,
+    candidates: Sequence[Candidate],
+    feedthrough: Mask,
+    reasons: tuple[str, ...],
+    progress: Progress,
+) -> Choice:
+    """Return the order, and the candidate that goes with it.
+
+    The criterion ranks the horizons of the first weighting and gives a largest order; with
+    inputs, unseen halves say how much of it is worth having, and the simulation with that
+    order which candidate gives it best.
+    """
+    tried = []
+    first = candidates[0][0]
+    ranked = [each for each in candidates if weighting_of(each[0]) == weighting_of(first)]
+    for k, (option, decomposition) in enumerate(ranked):
+        progress("orders", k, len(ranked))
+        tried.append((option, decomposition, scan_orders(option, decomposition)))
+    decides = getattr(candidates[0][1], "criterion_decides", stream.n_inputs > 0)
+    chosen = _best_of(tried, stream.n_outputs, decides, reasons)
+    scan = chosen.scan
+    if not stream.n_inputs or scan is None or scan.rank is not None or not scan.stable.any():
+        return chosen
+    progress("held out", 0, 2)
+    tentative = _by_held_out(stream, chosen, feedthrough)
+    progress("held out", 1, 2)
+    again = _simulating_best(stream, candidates, tentative)
+    if again.method == chosen.method:
+        return tentative
+    # another candidate may need another order
+    known = next((each[2] for each in tried if each[0] == again.method), None)
+    scan = known or scan_orders(again.method, again.decomposition)
+    if not scan.stable.any():
+        return tentative
+    order, why = choose_order(scan, forced=True)
+    other = replace(again, scan=scan, order=order, reasons=(*again.reasons[:-1], why))
+    return _by_held_out(stream, other, feedthrough)
+
+
+def _simulating_best(stream: Stream, candidates: Sequence[Candidate], choice: Choice) -> Choice:
+    """Return the choice with the candidate that simulates best with its order."""
+    if len(candidates) < 2:
+        return choice
+    k = first_simulating(stream, candidates, choice.order)
+    if k is None:
+        return choice
+    method, decomposition = candidates[k]
+    reason = _simulation_reason(method, candidates, choice.order)
+    return replace(
+        choice, method=method, decomposition=decomposition, reasons=(reason, *choice.reasons[-1:])
+    )
+
+
+def _without_feedback(choice: Choice) -> Choice:
+    """Return the choice with the estimators that survive feedback, where it is suspected.
+
+    Neither projection along the future inputs nor simulation can be trusted there: what
+    feedback makes of the noise looks like response.
+    """
+    feedback = getattr(choice.decomposition, "feedback", None)
+    if feedback is None or not feedback.suspected:
+        return choice
+    changed = {
+        name: value
+        for name, value in (("transition", "regression"), ("completion", "prediction"))
+        if getattr(choice.method, name) == "auto"
+    }
+    if not changed:
+        return choice
+    named = " and ".join(f"{name}={value}" for name, value in changed.items())
+    why = f"{named}, because the inputs seem to follow the outputs (feedback)"
+    return replace(choice, method=replace(choice.method, **changed), reasons=(*choice.reasons, why))
+
+
+def choose_for_responses(decomposition: Any, order: int | str, progress: Progress) -> Choice:
+    """Return the order for measured responses: as asked for, or the smallest with all steady modes.
+
+    Raises
+    ------
     UnstableModelError
         An automatic order, and every order tried is unstable.
     """
-    given = method.block_rows is not None
-    if given:
-        candidates = [(method, method.decompose(stream, feedthrough=feedthrough))]
-    else:
-        candidates = _horizons(stream, method, order, feedthrough)
-    reasons = (f"block_rows={method.block_rows} as asked for",) if given else ()
-    if isinstance(order, str):
-        tried = []
-        for k, (option, decomposition) in enumerate(candidates):
-            progress("orders", k, len(candidates))
-            tried.append((option, decomposition, scan_orders(option, decomposition)))
-        chosen = _best_of(stream, tried, reasons)
-        if stream.n_inputs and chosen.scan is not None and chosen.scan.rank is None:
-            progress("held out", 0, 1)
-            chosen = _by_held_out(stream, chosen, feedthrough)
-    else:
-        chosen = _best_for_order(candidates, order, stream, reasons)
-    return chosen if given else _afresh(stream, chosen, feedthrough)
+    method = decomposition.method
+    if not isinstance(order, str):
+        why = f"order={order} as asked for"
+        return Choice(method, decomposition, order, None, (*decomposition.reasons, why))
+    progress("orders", 0, 1)
+    scan = scan_orders(method, decomposition)
+    forced = decomposition.criterion_decides
+    return _best_of([(method, decomposition, scan)], 1, forced, decomposition.reasons)
+
+
+def _as_asked(method: Any) -> tuple[str, ...]:
+    rows = getattr(method, "block_rows", None)
+    return () if rows is None else (f"block_rows={rows} as asked for",)
 
 
 def _afresh(stream: Stream, choice: Choice, feedthrough: Mask) -> Choice:
@@ -81,105 +185,80 @@ def _afresh(stream: Stream, choice: Choice, feedthrough: Mask) -> Choice:
         return choice
     fresh = choice.method.decompose(stream, feedthrough=feedthrough)
     possible = 1 <= choice.order <= min(fresh.largest_order, choice.decomposition.largest_order)
-    if possible and choice.decomposition.criterion(choice.order)[1]:
-        # a few more columns may tip a pole over the circle: what was found stable is kept
-        stable = fresh.criterion(choice.order)[1]
-        return replace(choice, decomposition=fresh) if stable else choice
+    known = choice.decomposition
+    if possible and known.criterion(choice.order)[1]:
+        # a few more columns may tip a pole over the circle: what was found good is kept
+        good = fresh.criterion(choice.order)[1]
+        if good and stream.n_inputs and not fresh.rank_limited:
+            short = shortened(stream)
+            before = simulation_error_of(short, choice.method, known, choice.order)
+            good = simulation_error_of(short, choice.method, fresh, choice.order) <= KEPT * before
+        return replace(choice, decomposition=fresh) if good else choice
     return replace(choice, decomposition=fresh)
 
 
-def _horizons(
-    stream: Stream, method: Any, order: int | str, feedthrough: Mask
-) -> list[tuple[Any, Any]]:
-    """Return the method with every horizon that the record allows; one Gram serves all.
-
-    Nearly noise-free data need no longer horizon than the first that shows their rank.
-    """
-    channels = stream.n_inputs + stream.n_outputs
-    shortest = HORIZONS[0]
-    if not isinstance(order, str):
-        shortest = max(shortest, -(-order // stream.n_outputs) + 1)
-    allowed = [
-        rows
-        for rows in sorted({shortest, *HORIZONS})
-        if rows >= shortest
-        and _rows(method, rows) * channels <= LARGEST_HANKEL
-        and _fits(stream, _rows(method, rows))
-    ]
-    allowed = allowed or [_longest(stream, method, shortest)]
-    gram = reduce(stream, _rows(method, allowed[-1]))
-    found: list[tuple[Any, Any]] = []
-    for rows in allowed:
-        option = replace(method, block_rows=rows)
-        found.append((option, option.decompose(stream, feedthrough=feedthrough, gram=gram)))
-        if found[-1][1].rank_limited:
-            break
-    return found
-
-
-def _rows(method: Any, block_rows: int) -> int:
-    return block_rows + (method.past_rows or block_rows)
-
-
-def _fits(stream: Stream, n_rows: int) -> bool:
-    try:
-        check_length(stream, n_rows)
-    except DataError:
-        return False
-    return True
-
-
-def _longest(stream: Stream, method: Any, wanted: int) -> int:
-    """Return the longest horizon up to `wanted` that the record allows."""
-    for rows in range(wanted, 1, -1):
-        if _fits(stream, _rows(method, rows)):
-            return rows
-    check_length(stream, _rows(method, 2))
-    return 2
-
-
 def _best_of(
-    stream: Stream, tried: Sequence[tuple[Any, Any, OrderScan]], reasons: tuple[str, ...]
+    tried: Sequence[tuple[Any, Any, OrderScan]],
+    n_outputs: int,
+    forced: bool,
+    reasons: tuple[str, ...],
 ) -> Choice:
     usable = [each for each in tried if each[2].stable.any() or each[2].rank is not None]
     if not usable:
-        raise UnstableModelError(
-            f"Every order from {tried[0][2].orders[0]} to {tried[-1][2].orders[-1]} gives an "
-            "unstable model. Detrend the record or use a band without drift, name another "
-            'block_rows, or ask for an order with stability="project" (--stability project).'
-        )
+        return _unstable(tried, reasons)
     values = [
         min(scan.criterion[scan.stable], default=np.inf) / decomposition.n_columns
         for _, decomposition, scan in usable
     ]
     # a horizon that shows the rank shows all there is; shorter ones may hide modes
     exact = usable[-1][2].rank is not None
-    method, decomposition, scan = usable[-1 if exact else _first_close(values, stream)]
-    order, why = choose_order(scan, forced=stream.n_inputs > 0)
+    method, decomposition, scan = usable[-1 if exact else first_close(values, n_outputs)]
+    order, why = choose_order(scan, forced=forced)
     skipped = int((~scan.stable).sum())
     if skipped:
         why += f"; {skipped} of {len(scan.orders)} orders were unstable and skipped"
-    reasons = reasons or (_horizon_reason(method, [each[:2] for each in tried], ""),)
+    if getattr(method, "block_rows", None) is not None:
+        reasons = reasons or (_horizon_reason(method, [each[:2] for each in tried], ""),)
     return Choice(method, decomposition, order, scan, (*reasons, why))
 
 
+def _unstable(tried: Sequence[tuple[Any, Any, OrderScan]], reasons: tuple[str, ...]) -> Choice:
+    """Return the lowest criterion where no order is stable: the stability policy decides."""
+    best = min(tried, key=lambda each: each[1].criterion(int(each[2].orders[0]))[0])
+    method, decomposition, scan = best
+    values = [decomposition.criterion(int(order))[0] for order in scan.orders]
+    order = int(scan.orders[int(np.argmin(values))])
+    why = (
+        f"order={order} has the lowest information criterion of {scan.orders[0]} to "
+        f"{scan.orders[-1]}, all of which are unstable"
+    )
+    return Choice(method, decomposition, order, scan, (*(reasons or _as_asked(method)), why))
+
+
 def _best_for_order(
-    candidates: Sequence[tuple[Any, Any]], order: int, stream: Stream, reasons: tuple[str, ...]
+    candidates: Sequence[Candidate], order: int, stream: Stream, reasons: tuple[str, ...]
 ) -> Choice:
-    """Return the shortest horizon that predicts (nearly) best at the order asked for."""
+    """Return the candidate that simulates, or without inputs predicts, best at this order.
+
+    The shortest horizon among those that are nearly as good as the best.
+    """
+    why = f"order={order} as asked for"
+    exact = candidates[-1][1].rank_limited
+    if stream.n_inputs and len(candidates) > 1 and not exact:
+        k = first_simulating(stream, candidates, order)
+        if k is not None:
+            method, decomposition = candidates[k]
+            reason = _simulation_reason(method, candidates, order)
+            return Choice(method, decomposition, order, None, (reason, why))
     values = []
     for _, decomposition in candidates:
         possible = 1 <= order <= decomposition.largest_order and len(candidates) > 1
         value, stable = decomposition.criterion(order) if possible else (np.inf, False)
         values.append(value / decomposition.n_columns if stable else np.inf)
-    method, decomposition = candidates[_first_close(values, stream)]
-    reasons = reasons or (_horizon_reason(method, candidates, f" at order {order}"),)
-    return Choice(method, decomposition, order, None, (*reasons, f"order={order} as asked for"))
-
-
-def _first_close(values: Sequence[float], stream: Stream) -> int:
-    limit = min(values) + CLOSE * stream.n_outputs
-    return next(k for k, value in enumerate(values) if value <= limit)
+    method, decomposition = candidates[first_close(values, stream.n_outputs)]
+    if getattr(method, "block_rows", None) is not None:
+        reasons = reasons or (_horizon_reason(method, candidates, f" at order {order}"),)
+    return Choice(method, decomposition, order, None, (*reasons, why))
 
 
 def _horizon_reason(method: Any, tried: Sequence[tuple[Any, Any]], where: str) -> str:
@@ -195,6 +274,23 @@ def _horizon_reason(method: Any, tried: Sequence[tuple[Any, Any]], where: str) -
     )
 
 
+def _simulation_reason(method: Any, tried: Sequence[Candidate], order: int) -> str:
+    rows = sorted({option.block_rows for option, _ in tried})
+    others = [name for option, _ in tried if (name := weighting_of(option)) != weighting_of(method)]
+    named = f"block_rows={method.block_rows}"
+    if len(rows) == 1:
+        why = f"{named} is the longest that this record and its channels allow"
+    else:
+        why = (
+            f"{named} is one of {', '.join(str(each) for each in rows)} that simulates at order "
+            f"{order} within {100 * (AS_GOOD - 1):.2g} % of the error of the best, and of these "
+            f"the shortest whose prediction error is within {100 * CLOSE:g} %"
+        )
+    if others:
+        why += f"; weighting={method.weighting} was found so, against {others[0]}"
+    return why
+
+
 def _by_held_out(stream: Stream, choice: Choice, feedthrough: Mask) -> Choice:
     """Return the smallest order that simulates unseen halves nearly as well as the best.
 
@@ -204,10 +300,11 @@ def _by_held_out(stream: Stream, choice: Choice, feedthrough: Mask) -> Choice:
     assert choice.scan is not None
     stable = choice.scan.orders[choice.scan.stable]
     orders = [int(k) for k in stable if k <= choice.order and (k in GRID or k == choice.order)]
-    errors = held_out_errors(stream, choice.method, feedthrough, orders)
+    n_rows = choice.decomposition.gram.n_rows
+    errors = held_out_errors(stream, choice.method, feedthrough, orders, n_rows)
     # at 100 % error the halves say nothing: one of them may hold no force at all
     if choice.order not in errors or min(errors.values()) >= 1:
-        return choice
+        return _by_seen(stream, choice, orders)
     order = smallest_enough(errors)
     why = choice.reasons[-1]
     if order == choice.order:
@@ -219,3 +316,29 @@ def _by_held_out(stream: Stream, choice: Choice, feedthrough: Mask) -> Choice:
         )
     curve = np.array(sorted(errors.items()))
     return replace(choice, order=order, reasons=(*choice.reasons[:-1], why), held_out=curve)
+
+
+def _by_seen(stream: Stream, choice: Choice, orders: Sequence[int]) -> Choice:
+    """Return the order with the best balance of simulation error and parameters.
+
+    Where unseen halves say nothing: they are too short, or hold other frequencies. Errors of
+    a simulation are not white, so samples within a horizon count as one observation: the
+    criterion is (N p / h) ln error² + n (m + p) ln(N p / h) with the horizon h.
+    """
+    m, p = stream.n_inputs, stream.n_outputs
+    short = shortened(stream)
+    horizon = choice.decomposition.gram.n_rows // 2
+    observed = max(2.0, short.n_samples * p / horizon)
+    values = {}
+    for order in orders:
+        error = simulation_error_of(short, choice.method, choice.decomposition, order)
+        fit = observed * 2 * np.log(max(error, np.finfo(float).tiny))
+        values[order] = fit + order * (m + p) * np.log(observed)
+    order = min(values, key=lambda each: values[each], default=choice.order)
+    if order == choice.order or not np.isfinite(values[order]):
+        return choice
+    why = (
+        f"order={order} balances simulation error and parameters best (one observation per "
+        f"{horizon} samples); by itself, {choice.reasons[-1]}"
+    )
+    return replace(choice, order=order, reasons=(*choice.reasons[:-1], why))

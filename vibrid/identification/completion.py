@@ -14,8 +14,9 @@ from ..fit import Finding, Fit
 from ..record import Floats
 from ..scores import whitener
 from ..statespace import StateSpace
-from .equations import Equations, Piece, Unknowns, set_up
+from .equations import Equations, Unknowns, set_up
 from .modal_basis import modal_basis
+from .walk import Piece
 
 OFFSET_SPREAD = 0.1  # of an output's standard deviation: smaller differences are not told
 SPLIT_LENGTH = 10  # in states: pieces shorter than twice this are not split for the check

@@ -16,28 +16,15 @@ import scipy.linalg as sla
 from numpy.typing import NDArray
 
 from ..chunks import Stream
-from ..gram import stacked_qr, triangle_of
+from ..gram import scaled_cholesky, stacked_qr
+from ..linalg import solve_upper
 from ..record import Floats
-from ..statespace import Lifting
 from .modal_basis import ModalBasis
+from .walk import NEGLIGIBLE, Piece, make_filters, reduce_piece
 
 REDUCED_PIVOT = 1e-6  # these normal equations are only taken where they cost few digits
 SOLVE_TOLERANCE = 1e-13  # relative, for the triangles' least squares
-NEGLIGIBLE = 1e-100  # length of a decay that has vanished before its piece begins
-CHUNK_ELEMENTS = 2**21  # of the columns made at a time
-
-
-@dataclass(frozen=True)
-class Piece:
-    """Samples [start, stop) of segment `owner`; pieces of a segment share its initial state.
-
-    Pieces of a record share its constant: a gap does not move a sensor's zero.
-    """
-
-    record: int
-    owner: int
-    start: int
-    stop: int
+DEPENDENT = 1e-10  # of a column's length: what the columns before it leave of a dependent one
 
 
 @dataclass(frozen=True, eq=False)
@@ -107,7 +94,7 @@ class Equations:
     def n_shared(self) -> int:
         return self._n_constants + self.n_direct
 
-    @property
+    @cached_property
     def _n_constants(self) -> int:
         return self._c * (max(piece.record for piece in self.pieces) + 1)
 
@@ -120,9 +107,10 @@ class Equations:
         c, records = self._c, self._by_record(pieces)
         direct = np.zeros(self.n_direct)
         if self.n_direct:
-            rests = [_without(rows[:, :c], rows[:, c:]) for rows in records.values()]
-            stacked = stacked_qr(iter(rests), self.n_direct + 1)
-            direct = sla.lstsq(stacked[:, :-1], stacked[:, -1], cond=SOLVE_TOLERANCE)[0]
+            joined = _joined([_eliminated(rows, c) for rows in records.values()])
+            size = np.linalg.norm(joined[:, :-1], axis=0)
+            size[size == 0] = 1
+            direct = solve_upper(joined[:-1, :-1] / size, joined[:-1, -1:])[:, 0] / size
         constants = np.zeros((self._n_constants // max(1, c), c))
         if c:
             for record, rows in records.items():
@@ -140,15 +128,18 @@ class Equations:
 
     def squares(self, unknowns: Unknowns, pieces: Sequence[int] | None = None) -> Floats:
         """Return Σ e eᵀ (p, p), unweighted, over some or all pieces."""
-        p, back = self._p, np.linalg.inv(self.weight)
-        total = np.zeros((p, p))
+        q, back = self._q, np.linalg.inv(self.weight)
+        coefficients, columns = self._design
+        total = np.zeros((self._p, self._p))
         for chosen, state in zip(self._by_segment(pieces), unknowns.states, strict=True):
-            answer = np.concatenate([state, self._local(unknowns.shared, chosen[0]), [-1.0]])
+            answer = np.concatenate([state, self._local(unknowns.shared, chosen[0])])
+            combination = np.zeros((q, self._p))
+            for coefficient, column in zip(coefficients, columns, strict=True):
+                np.add.at(combination, column, (coefficient * answer).T)
+            modelled = combination @ back.T
             for k in chosen:
-                missing = np.stack([rows @ answer for rows in self._weighted_rows(k)])
-                error = back @ missing
-                rest = self.triangles[k][-p:, -p:]
-                total += error @ error.T + rest.T @ rest
+                error = self.triangles[k][:, :q] @ modelled - self.triangles[k][:, q:]
+                total += error.T @ error
         return total
 
     def _local(self, shared: Floats, piece: int) -> Floats:
@@ -160,11 +151,9 @@ class Equations:
         """Return rows [constants, D, B, target] of every record, states projected out."""
         groups: dict[int, list[Floats]] = {}
         for chosen in self._by_segment(pieces):
-            triangle = self._reduced(chosen)
-            rest = _without(triangle[:, : self._n], triangle[:, self._n :])
+            rest = _eliminated(self._reduced(chosen), self._n)
             groups.setdefault(self.pieces[chosen[0]].record, []).append(rest)
-        width = self._c + self.n_direct + 1
-        return {record: stacked_qr(iter(rests), width) for record, rests in groups.items()}
+        return {record: _joined(rests) for record, rests in groups.items()}
 
     def covariance(self, unknowns: Unknowns) -> Floats:
         """Return the covariance of the errors, degrees of freedom taken off."""
@@ -197,57 +186,105 @@ class Equations:
     def _reduced(self, chosen: tuple[int, ...]) -> Floats:
         """Return the triangle of [state, shared, target] over the outputs of some pieces."""
         if chosen not in self._triangles:
-            width = self._n + self._c + self.n_direct + 1
-            self._triangles[chosen] = triangle_of(
-                lambda: (rows for k in chosen for rows in self._weighted_rows(k)),
-                width,
-                REDUCED_PIVOT,
-            )
+            gram = np.sum([self._normal(k) for k in chosen], axis=0)
+            triangle, pivot = scaled_cholesky(gram)
+            if triangle is None or not pivot > REDUCED_PIVOT:
+                rows = (rows for k in chosen for rows in self._weighted_rows(k))
+                triangle = stacked_qr(rows, len(gram))
+            self._triangles[chosen] = triangle
         return self._triangles[chosen]
 
     @cached_property
     def _triangles(self) -> dict[tuple[int, ...], Floats]:
         return {}
 
+    @cached_property
+    def _normals(self) -> dict[int, Floats]:
+        return {}
+
+    @property
+    def _q(self) -> int:
+        """Columns of the triangles before the targets."""
+        return len(self.triangles[0]) - self._p
+
+    @cached_property
+    def _design(self) -> tuple[Floats, NDArray[np.int64]]:
+        """Return how each unknown [state, constants, D, B] acts on the weighted outputs.
+
+        Coefficients (2, p, width) of two of the columns [1, u, ξ, decay] each, and which
+        columns (2, width): a modal signal and its partner.
+        """
+        n, m, p, W = self._n, self.n_inputs, self._p, self.weight
+        own, partner = self.basis.coefficients(W @ self.rows)
+        direct = np.repeat(W[:, self.feedthrough], m, axis=1)
+        first = self.constant + m + n * np.arange(m + 1)[:, None]
+        signals, partners = first + np.arange(n), first + self.basis.partners
+        plain = [np.zeros(self._c, int), self.constant + np.arange(direct.shape[1]) % max(1, m)]
+        coefficients = [
+            np.hstack([own, W[:, : self._c], direct, np.tile(own, m)]),
+            np.hstack([partner, np.zeros((p, self._c + direct.shape[1])), np.tile(partner, m)]),
+        ]
+        columns = [
+            np.concatenate([each[-1], *plain, each[:-1].ravel()]) for each in (signals, partners)
+        ]
+        return np.array(coefficients), np.array(columns)
+
+    def _normal(self, piece: int) -> Floats:
+        """Return the normal matrix of [unknowns, target] of one piece, all outputs together.
+
+        Each unknown acts on output o by a coefficient times a column, so the sum over outputs
+        of products of rows is the products of columns times sums of products of coefficients.
+        """
+        if piece not in self._normals:
+            q, (coefficients, columns) = self._q, self._design
+            products = self.triangles[piece].T @ self.triangles[piece]
+            gram = np.zeros((coefficients.shape[2] + 1,) * 2)
+            for left, i in zip(coefficients, columns, strict=True):
+                gram[:-1, -1] += np.einsum("cp,pc->c", products[i, q:], self.weight.T @ left)
+                for right, j in zip(coefficients, columns, strict=True):
+                    gram[:-1, :-1] += (left.T @ right) * products[np.ix_(i, j)]
+            gram[-1, :-1] = gram[:-1, -1]
+            gram[-1, -1] = np.trace(self.weight @ products[q:, q:] @ self.weight.T)
+            self._normals[piece] = gram
+        return self._normals[piece]
+
     def _weighted_rows(self, piece: int) -> Iterator[Floats]:
         """Yield the rows [state, shared, target] of one weighted output after the other."""
-        n, m, one = self._n, self.n_inputs, self.constant
-        triangle = self.triangles[piece]
-        q = len(triangle) - self._p
-        top, target = triangle[:q, :q], triangle[:q, q:]
-        for weight in self.weight:
-            row = weight[None, :] @ self.rows
-            signals = [
-                self.basis.regressors(top[:, first : first + n], row)[0]
-                for first in range(one + m, q, n)
-            ]
-            direct = weight[None, self.feedthrough, None] * top[:, None, one : one + m]
-            constants = top[:, :one] * weight if one else top[:, :0]
-            yield np.hstack(
-                [
-                    signals[-1],
-                    constants,
-                    direct.reshape(q, -1),
-                    *signals[:-1],
-                    target @ weight[:, None],
-                ]
-            )
+        q, (coefficients, columns) = self._q, self._design
+        top = self.triangles[piece][:q]
+        for (own, partner), weight in zip(
+            coefficients.transpose(1, 0, 2), self.weight, strict=True
+        ):
+            acting = top[:, columns[0]] * own + top[:, columns[1]] * partner
+            yield np.hstack([acting, top[:, q:] @ weight[:, None]])
 
 
-def _without(columns: Floats, matrix: Floats) -> Floats:
-    """Return what the columns cannot explain of a matrix; columns may be dependent or zero."""
-    if columns.shape[1] == 0:
-        return matrix
+def _joined(triangles: Sequence[Floats]) -> Floats:
+    """Return the triangle of triangles stacked on each other."""
+    return triangles[0] if len(triangles) == 1 else stacked_qr(iter(triangles), len(triangles[0].T))
+
+
+def _eliminated(triangle: Floats, count: int) -> Floats:
+    """Return the triangle of what the first columns cannot explain of the others.
+
+    The columns may be dependent or zero: a state that has decayed.
+    """
+    columns, others = triangle[:, :count], triangle[:, count:]
     unit, _ = _unit_columns(columns)
+    if (np.abs(np.diag(unit)) > DEPENDENT).all():
+        return triangle[count:, count:]
     Q, R, _ = sla.qr(unit, mode="economic", pivoting=True, check_finite=False)
     size = np.abs(np.diag(R))
     Q = Q[:, size > SOLVE_TOLERANCE * max(size[0], 1e-300)]
-    return np.asarray(matrix - Q @ (Q.T @ matrix))
+    return stacked_qr(iter([others - Q @ (Q.T @ others)]), others.shape[1])
 
 
 def _solve(columns: Floats, target: Floats) -> Floats:
-    """Return the least-squares solution; columns may be dependent or zero."""
+    """Return the least-squares solution of triangular columns, dependent or zero as they may be."""
     unit, size = _unit_columns(columns)
+    n = len(size)
+    if (np.abs(np.diag(unit)) > DEPENDENT).all():
+        return np.asarray(np.linalg.solve(unit[:n], target[:n]) / size)
     return np.asarray(sla.lstsq(unit, target, cond=SOLVE_TOLERANCE)[0] / size)
 
 
@@ -277,22 +314,14 @@ def set_up(
     gain : array (n, p)
         Zero for simulation, K for prediction: the target is y − C (q − A)⁻¹ gain y.
     """
-    m, p, n = stream.n_inputs, stream.n_outputs, len(A)
     constant = int(stream.offset == "estimate")
-    width = constant + m + n * m + n + p
-    bank = _Bank(
-        Lifting(basis.blocks, basis.start[:, None], np.eye(n), np.zeros((n, 1))),
-        Lifting(A, -gain, C, np.eye(p)),
-        basis.start,
-        constant,
-    )
+    filters = make_filters(basis, A, C, gain, stream.n_inputs, constant)
     triangles = []
     for piece in pieces:
         if piece.start == 0:
-            states = bank.at_rest(m)
-        walk = _Walk(stream, piece, bank, states)
-        triangles.append(triangle_of(walk.rows, width))
-        states = walk.last
+            states = filters.at_rest()
+        triangle, states = reduce_piece(stream, piece, filters, states)
+        triangles.append(triangle)
     return Equations(
         basis=basis,
         rows=C @ basis.vectors,
@@ -300,46 +329,7 @@ def set_up(
         pieces=tuple(pieces),
         weight=weight,
         feedthrough=feedthrough,
-        n_inputs=m,
+        n_inputs=stream.n_inputs,
         constant=constant,
         predicts=bool(gain.any()),
     )
-
-
-@dataclass(frozen=True, eq=False)
-class _Bank:
-    """The filters that make the columns: modal signals, and the target."""
-
-    modal: Lifting
-    target: Lifting
-    start: Floats
-    constant: int
-
-    def at_rest(self, n_inputs: int) -> list[Floats]:
-        """Return the states at the start: one an input, the decay, the target filter."""
-        return [*(np.zeros_like(self.start) for _ in range(n_inputs)), self.start, 0 * self.start]
-
-
-class _Walk:
-    """Rows of one piece, as often as asked; `last` holds the filters' states at its end."""
-
-    def __init__(self, stream: Stream, piece: Piece, bank: _Bank, states: list[Floats]) -> None:
-        self.stream, self.piece, self.bank, self.first = stream, piece, bank, states
-        self.last = states
-
-    def rows(self) -> Iterator[Floats]:
-        """Yield the columns [1, u, ξ, decay, target] chunk after chunk, states carried on."""
-        stream, piece, bank, m = self.stream, self.piece, self.bank, self.stream.n_inputs
-        segment = stream.segments[piece.owner]
-        width = (m + 1) * (len(bank.start) + 1) + stream.n_outputs
-        step = max(4096, CHUNK_ELEMENTS // width)
-        self.last = list(self.first)
-        for start in range(piece.start, piece.stop, step):
-            z = stream.read(segment, start, min(start + step, piece.stop))
-            drives = np.hstack([z[:, :m], np.zeros((len(z), 1))])
-            signals = []
-            for j in range(m + 1):
-                signal, self.last[j] = bank.modal.run(drives[:, j : j + 1], self.last[j])
-                signals.append(signal)
-            target, self.last[-1] = bank.target.run(z[:, m:], self.last[-1])
-            yield np.hstack([np.ones((len(z), bank.constant)), z[:, :m], *signals, target])

@@ -10,7 +10,7 @@ import numpy as np
 
 from ..chunks import Stream
 from ..fit import Finding, Fit
-from ..modes import match_modes, modes_of
+from ..modes import match_modes, mode_quality, modes_of
 from .completion import complete
 from .stability import is_stable, settle
 
@@ -28,9 +28,23 @@ def finish(method: Any, decomposition: Any, order: int, stream: Stream, stabilit
     form = getattr(method, "completion", "auto")
     found = finished(method, decomposition, order, stream, form)
     if found is not None:
-        return found
-    fit = settle(method.realize(decomposition, order), stability, method, decomposition)
+        return with_quality(found, decomposition)
+    fit = settled(method, decomposition, order, stability)
     return complete(fit, stream, form) if is_stable(fit) else fit
+
+
+def settled(method: Any, decomposition: Any, order: int, stability: str) -> Fit:
+    """Return the realization of one order as the stability policy wants it."""
+    fit = with_quality(method.realize(decomposition, order), decomposition)
+    return settle(fit, stability, method, decomposition)
+
+
+def with_quality(fit: Fit, decomposition: Any) -> Fit:
+    """Return the fit with how well the data's own factors agree with each mode."""
+    if not hasattr(decomposition, "factors"):
+        return fit
+    quality = mode_quality(fit, *decomposition.factors(fit.order))
+    return replace(fit, diagnostics=fit.diagnostics.joined(quality.as_figures()))
 
 
 def finished(method: Any, decomposition: Any, order: int, stream: Stream, form: str) -> Fit | None:

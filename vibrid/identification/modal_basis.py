@@ -45,27 +45,30 @@ class ModalBasis:
     first: NDArray[np.int64]
     second: NDArray[np.int64]
 
-    def regressors(self, signals: Floats, rows: Floats) -> Floats:
-        """Return what multiplies b in c (q − Λ)⁻¹ b u, for every output.
+    @property
+    def partners(self) -> NDArray[np.int64]:
+        """The other state of each pair; a real pole's own."""
+        other = np.arange(len(self.start))
+        other[self.first], other[self.second] = self.second, self.first
+        return other
+
+    def coefficients(self, rows: Floats) -> tuple[Floats, Floats]:
+        """Return how ξ, and ξ in the order of its partners, combine to what multiplies b.
 
         Parameters
         ----------
-        signals : array (k, n)
-            ξ, or any linear image of it.
         rows : array (p, n)
             C V.
 
         Returns
         -------
-        array (p, k, n)
+        own, partner : arrays (p, n)
+            c (q − Λ)⁻¹ b u = Σ_i b_i (own_i ξ_i + partner_i ξ_partners(i)).
         """
-        result = rows[:, None, :] * signals[None, :, :]
-        one, two = self.first, self.second
-        result[:, :, one] += rows[:, None, two] * signals[None, :, two]
-        result[:, :, two] = (
-            rows[:, None, two] * signals[None, :, one] - rows[:, None, one] * signals[None, :, two]
-        )
-        return np.asarray(result)
+        own, partner = rows.copy(), np.zeros_like(rows)
+        own[:, self.second] = -rows[:, self.first]
+        partner[:, self.first] = partner[:, self.second] = rows[:, self.second]
+        return own, partner
 
 
 def modal_basis(A: Floats) -> ModalBasis | None:

@@ -10,26 +10,29 @@ from ..errors import DataError, check_choice, check_names
 from ..fit import Fit
 from ..gram import BlockGram, factorize
 from ..linalg import one_blas_thread
-from ..record import Record
+from ..record import Floats, Record
 from .n4sid import TRANSITIONS
 from .preparation import check_order, horizon, prepare
-from .subspace import Layout, Subspace, as_fit, assemble, covariance_states, projected_states
+from .subspace import Layout, Subspace, assemble, covariance_states, projected_states, subspace_fit
 
-KINDS = ("covariance", "data")
+KINDS = ("covariance", "data", "cva", "stochastic")
 
 
 @dataclass(frozen=True)
 class SSI:
     """Identify modes from outputs alone, under unmeasured broadband excitation.
 
-    Covariance-driven (SSI-cov) or data-driven (SSI-data), with reference channels, after
-    Van Overschee & De Moor (1996) and Peeters & De Roeck (1999). Exact for noise-free free
-    decays too.
+    Covariance-driven (SSI-cov), data-driven (SSI-data), canonical variates or the stochastic
+    algorithm, all with reference channels, after Van Overschee & De Moor (1996) and Peeters &
+    De Roeck (1999). Exact for noise-free free decays too.
 
     Parameters
     ----------
-    kind : "covariance" or "data"
-        Block Hankel of output covariances, or projection of future on past outputs.
+    kind : "covariance", "data", "cva" or "stochastic"
+        Block Hankel of output covariances; projection of future on past outputs, as it is or
+        in canonical variates (strong and weak modes count alike); or the projection with a
+        Kalman gain from covariances that always belong to a process (positive real), so that
+        there is a gain wherever the data hold noise.
     block_rows : int, optional
         Future horizon, and past horizon unless `past_rows` says otherwise [samples];
         chosen by prediction error when left out.
@@ -45,6 +48,9 @@ class SSI:
     Covariance: H[a, b] = Λ(a+b+1), Λ(l) = Σ y(t+l) y_ref(t)ᵀ, H = U S Vᵀ, Γ = U S^½ and the
     predictor's state x = S^-½ Uᵀ (Y_f / Y_p) Y_p (Han, Bohn & Bauer 2021, section 2). Data:
     the singular values of L21, the past's part of the future, as the MOESP of no inputs.
+    Stochastic: algorithm 3 of Van Overschee & De Moor (1996), which is also step (1) of Han,
+    Bohn & Bauer (2021): with transition="regression" A and C are its least squares on the
+    states; the gain solves (22), (23) for the covariances of the residuals.
 
     Examples
     --------
@@ -52,7 +58,9 @@ class SSI:
     'covariance'
     """
 
-    kind: str = field(default="covariance", metadata={"help": "covariance or data"})
+    kind: str = field(
+        default="covariance", metadata={"help": "covariance, data, cva or stochastic"}
+    )
     block_rows: int | None = field(
         default=None, metadata={"help": "future horizon in samples; chosen when left out"}
     )
@@ -104,23 +112,25 @@ class SSI:
         layout = Layout(past, future, 0, stream.n_outputs, outputs)
         factor = factorize(gram, stream, layout.rows)
         with one_blas_thread():
-            if self.kind == "data":
-                gamma, state_map, values = projected_states(
-                    factor.triangle, layout, stream.output_balance, whiten=False
-                )
-                unit = stream.output_unit
-            else:
-                gamma, state_map, values = covariance_states(
-                    factor.triangle, layout, stream.output_balance, gram.covariances()
-                )
-                unit = stream.output_unit**2
+            gamma, state_map, values = self._states(factor.triangle, layout, stream, gram)
+        unit = stream.output_unit ** {"covariance": 2, "cva": 0}.get(self.kind, 1)
         states = gamma, state_map, values * unit
-        return assemble(stream, gram, layout, factor, states, feedthrough, self.transition)
+        positive_real = self.kind == "stochastic"
+        return assemble(
+            self, stream, gram, layout, factor, states, feedthrough, positive_real=positive_real
+        )
+
+    def _states(
+        self, R: Floats, layout: Layout, stream: Stream, gram: BlockGram
+    ) -> tuple[Floats, Floats, Floats]:
+        if self.kind == "covariance":
+            return covariance_states(R, layout, stream.output_balance, gram.covariances())
+        return projected_states(R, layout, stream.output_balance, whiten=self.kind == "cva")
 
     def realize(self, decomposition: Subspace, order: int) -> Fit:
         """Return the model of one order; no pass over the data."""
         check_order(order, decomposition.largest_order, decomposition.limit)
-        return as_fit(self, decomposition, decomposition.realize(order, self.transition))
+        return subspace_fit(self, decomposition, decomposition.realize(order, self.transition))
 
     def _past_channels(self, record: Record) -> tuple[int, ...]:
         names = record.output_names

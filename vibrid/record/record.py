@@ -144,13 +144,16 @@ class Record:
         """
         pieces: list[tuple[int, int]] = []
         for first, rows in self.chunks():
-            if np.isinf(rows).any():
+            with np.errstate(invalid="ignore", over="ignore"):
+                whole = np.isfinite(rows.sum())  # a sum hides nothing: NaN and infinity stay
+            if not whole and np.isinf(rows).any():
                 row = first + int(np.flatnonzero(np.isinf(rows).any(axis=1))[0])
                 raise DataError(
                     f"Sample {row} of {self.name or 'the record'} is infinite; write NaN where a "
                     "sample is missing."
                 )
-            for start, stop in _runs(np.asarray(~np.isnan(rows).any(axis=1))):
+            good = [(0, len(rows))] if whole else _runs(np.asarray(~np.isnan(rows).any(axis=1)))
+            for start, stop in good:
                 if pieces and pieces[-1][1] == first + start:
                     pieces[-1] = (pieces[-1][0], first + stop)
                 else:

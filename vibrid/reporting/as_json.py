@@ -15,7 +15,7 @@ from ..fit import Fit
 from ..identification import Assessment
 from ..modes import modes_of
 from ..record import Channel, FrequencyResponses, Record
-from .outcome import Outcome, method_name
+from .outcome import Outcome, ResponsesOutcome, method_name
 
 
 def plain(value: Any) -> Any:
@@ -135,6 +135,18 @@ def fit_as_json(fit: Fit, name: str) -> dict[str, Any]:
             }
         )
     )
+
+
+def responses_outcome_as_json(outcome: ResponsesOutcome) -> dict[str, Any]:
+    """Return a realization of frequency responses."""
+    figures = outcome.fit.diagnostics.figures
+    return {
+        "source": responses_as_json(outcome.source, outcome.name),
+        **fit_as_json(outcome.fit, outcome.name),
+        "choices": plain(figures.get("choices", ())),
+        "reconstruction_error": plain(figures["reconstruction_error"]),
+        "saved": plain(outcome.saved),
+    }
 
 
 def _record(record: Record) -> dict[str, Any]:

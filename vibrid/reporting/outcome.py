@@ -13,7 +13,7 @@ from ..fit import Finding, Fit
 from ..identification import Assessment
 from ..methods import METHODS
 from ..modes import Modes, modes_of
-from ..record import Floats, Record
+from ..record import Floats, FrequencyResponses, Record
 
 WORSE_UNSEEN = 10.0  # points of fit: beyond, the unseen part is not explained as well
 WEAK_UNSEEN = 0.2  # of the standard deviation before: noise decides over such a part
@@ -167,6 +167,17 @@ class Outcome:
             mode is not None and abs(f[mode] / each - 1) <= limit
             for mode, each in zip(self.reference_pairs, self.reference.frequencies_hz, strict=True)
         )
+
+
+@dataclass(frozen=True, eq=False)
+class ResponsesOutcome:
+    """One identification from frequency responses: what was read and found."""
+
+    source: FrequencyResponses
+    name: str
+    method_reason: str
+    fit: Fit
+    saved: Path | None = None
 
 
 def method_name(fit: Fit) -> str:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Iterator, Sequence
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,9 +15,10 @@ from rich.text import Text
 from ..files.survey import Survey
 from ..fit import Finding, Fit
 from ..identification import Assessment
-from ..modes import Modes, modes_of
+from ..modes import ModeQuality, Modes, modes_of, quality_of
 from ..record import Channel, Floats
-from .outcome import STEADY_SHARE, Outcome, method_name
+from .information import describe_responses
+from .outcome import STEADY_SHARE, Outcome, ResponsesOutcome, method_name
 from .words import (
     add,
     change,
@@ -48,7 +50,6 @@ def summary(outcome: Outcome) -> Group:
 
 def describe_fit(fit: Fit, name: str) -> Group:
     """Return what a saved model holds: method, order, channels, modes, findings."""
-    modes, findings = modes_of(fit), fit.diagnostics.findings
     rate = f" at {1 / fit.model.dt:.6g} Hz" if fit.model.dt else ""
     parts: list[RenderableType] = [
         heading(name),
@@ -59,18 +60,47 @@ def describe_fit(fit: Fit, name: str) -> Group:
     for role, channels in (("input", fit.input_channels), ("output", fit.output_channels)):
         if channels:
             parts.append(line(_side(role, channels)))
-    parts += [Text(""), heading("Modes" if modes.n_modes else "Modes: none")]
+    return Group(*parts, *model_sections(fit))
+
+
+def summary_of_responses(outcome: ResponsesOutcome) -> Group:
+    """Return all that a user should know about a realization of frequency responses."""
+    fit = outcome.fit
+    figures = fit.diagnostics.figures
+    return Group(
+        describe_responses(outcome.source, outcome.name),
+        Text(""),
+        heading("Chosen"),
+        line(f"method={method_name(fit)} {outcome.method_reason} ({_options(fit)})"),
+        *map(line, figures.get("choices", ())),
+        line(
+            "the model misses "
+            f"{number(100 * figures['reconstruction_error'], '.3g')} % (rms) of the impulse "
+            "responses"
+        ),
+        *model_sections(fit),
+        Text(""),
+        _written(outcome.saved),
+    )
+
+
+def model_sections(fit: Fit) -> Iterator[RenderableType]:
+    """Yield the modes and the findings of a fit."""
+    modes, findings = modes_of(fit), fit.diagnostics.findings
+    yield Text("")
+    yield heading("Modes" if modes.n_modes else "Modes: none")
     if modes.n_modes:
-        columns = _mode_columns(modes, list(range(modes.n_modes)))
+        columns = _mode_columns(modes, quality_of(fit), list(range(modes.n_modes)))
         made = table(*columns)
         for row in zip(*columns.values(), strict=True):
             add(made, *row)
-        parts.append(indented(made))
+        yield indented(made)
     if len(modes.real_poles):
-        parts.append(line(_real_poles(modes.real_poles)))
+        yield line(_real_poles(modes.real_poles))
     if findings:
-        parts += [Text(""), heading("Findings"), *map(_finding, findings)]
-    return Group(*parts)
+        yield Text("")
+        yield heading("Findings")
+        yield from map(_finding, findings)
 
 
 def _read(outcome: Outcome) -> Iterator[RenderableType]:
@@ -137,7 +167,11 @@ def _modes(outcome: Outcome) -> Iterator[RenderableType]:
         yield indented(_mode_table(outcome))
     doubtful = sum(not outcome.is_steady(k) for k in listed)
     if listed:
-        yield line("MPC: 1 for a shape whose points move in phase.", "dim")
+        yield line(
+            "MPC: 1 for a shape whose points move in phase. EMAC: 1 for a mode that the data "
+            "follow to the end of the horizon.",
+            "dim",
+        )
     if outcome.persistence is not None and listed:
         said = "Seen in: share of the orders tried that show the mode"
         mark = f"; ? marks those below {STEADY_SHARE:.0%}, not to be relied on" if doubtful else ""
@@ -154,7 +188,7 @@ def _modes(outcome: Outcome) -> Iterator[RenderableType]:
 
 def _mode_table(outcome: Outcome) -> Table:
     share, listed = outcome.persistence, list(outcome.listed)
-    columns = _mode_columns(outcome.modes, listed)
+    columns = _mode_columns(outcome.modes, quality_of(outcome.fit), listed)
     if share is not None:
         columns["seen in"] = [number(100 * share[k], ".0f") + " %" for k in listed]
         columns[" "] = ["" if outcome.is_steady(k) else "?" for k in listed]
@@ -164,7 +198,7 @@ def _mode_table(outcome: Outcome) -> Table:
     return made
 
 
-def _mode_columns(modes: Modes, listed: list[int]) -> dict[str, list[str]]:
+def _mode_columns(modes: Modes, quality: ModeQuality, listed: list[int]) -> dict[str, list[str]]:
     f_std, damping_std = modes.frequencies_std[listed], modes.damping_std[listed]
     digits = frequency_digits(modes.frequencies_hz[listed])
     columns: dict[str, list[str]] = {"#": [str(k + 1) for k in range(len(listed))]}
@@ -175,6 +209,9 @@ def _mode_columns(modes: Modes, listed: list[int]) -> dict[str, list[str]]:
     if np.isfinite(damping_std).any():
         columns["± [%]"] = [number(100 * s, ".2g") for s in damping_std]
     columns["MPC"] = [number(c, ".3f") for c in modes.phase_collinearity[listed]]
+    emac = quality.emac if np.isfinite(quality.emac).any() else quality.emac_outputs
+    if np.isfinite(emac).any():
+        columns["EMAC"] = [number(e, ".3f") for e in emac[listed]]
     return columns
 
 
@@ -293,8 +330,11 @@ def _finding(finding: Finding) -> RenderableType:
 
 
 def _saved(outcome: Outcome) -> Iterator[RenderableType]:
-    if outcome.saved is None:
-        yield Text("The model was not written; --save FILE keeps it.")
-    else:
-        # a path that is cut into two lines cannot be copied
-        yield Text(f"Model written to {outcome.saved}", no_wrap=True, overflow="ignore")
+    yield _written(outcome.saved)
+
+
+def _written(path: Path | None) -> Text:
+    if path is None:
+        return Text("The model was not written; --save FILE keeps it.")
+    # a path that is cut into two lines cannot be copied
+    return Text(f"Model written to {path}", no_wrap=True, overflow="ignore")

@@ -5,15 +5,14 @@ A block of T samples is one step of a "lifted" system,
     x(k+T) = Aᵀ-power x(k) + [A^(T−1) B … B] U,    Y = O x(k) + H U,
 
 with O = [C; CA; …] and H the block Toeplitz matrix of Markov parameters, so that all blocks
-together are one matrix product. What is left, the state from block to block, is a slower
-system of the same kind and is lifted again. No eigenvalues are taken: unstable and
-defective A are as good as any.
+together are one matrix product. What is left, the state from block to block, runs over √K
+stretches of the K blocks side by side (see `block_states`). No eigenvalues are taken: unstable
+and defective A are as good as any.
 """
 
 from __future__ import annotations
 
 import math
-from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -21,8 +20,6 @@ import numpy as np
 from ..record import Floats
 
 CHUNK_ELEMENTS = 2**18  # per chunk and per block matrix; keeps the temporaries in the cache
-LOOP_STEPS = 1500  # so few steps are faster one by one than lifted
-SLOW_WIDTH = 256  # columns of the lifted matrix of the slow recursion
 
 
 class Lifting:
@@ -53,7 +50,7 @@ class Lifting:
         self._build()
 
     def _build(self) -> None:
-        """Make the matrices of one block: [U, x] @ `_to_outputs`, U @ `_to_state`, `_power`."""
+        """Make the matrices of one block: [U, x] @ `to_outputs`, U @ `to_state`, `power`."""
         T, n, m, p = self.block, self.n, self.m, self.p
         reach = np.empty((T, n, m))  # A^k B
         observe = np.empty((T, p, n))  # C A^k
@@ -64,17 +61,11 @@ class Lifting:
         markov = np.concatenate([np.zeros((1, p, m)), self.D[None], self.C @ reach[:-1]])
         lag = np.arange(T)[:, None] - np.arange(T)[None, :]
         toeplitz = markov[np.maximum(lag + 1, 0)]  # (T, T, p, m): output sample, input sample
-        self._to_outputs = np.concatenate(
+        self.to_outputs = np.concatenate(
             [toeplitz.transpose(1, 3, 0, 2).reshape(T * m, T * p), observe.reshape(T * p, n).T]
         )
-        self._to_state = reach[::-1].transpose(0, 2, 1).reshape(T * m, n)
-        self._power = np.linalg.matrix_power(self.A, T)
-
-    @cached_property
-    def _slow(self) -> Lifting:
-        """The system that takes the state from block to block."""
-        eye = np.eye(self.n)
-        return Lifting(self._power, eye, eye, np.zeros_like(eye), SLOW_WIDTH // self.n)
+        self.to_state = reach[::-1].transpose(0, 2, 1).reshape(T * m, n)
+        self.power = np.linalg.matrix_power(self.A, T)
 
     def run(self, inputs: Any, initial_state: Floats) -> tuple[Floats, Floats]:
         """Return the outputs (n_samples, p) and the state after the last sample (n,).
@@ -86,23 +77,21 @@ class Lifting:
         outputs = np.empty((N, self.p))
         state = np.array(initial_state, dtype=np.float64)
         widest = max(self.n, self.m, self.p)
-        lift = LOOP_STEPS * self.block < N and 2 * self.n <= SLOW_WIDTH
         rows = self.block * max(1, CHUNK_ELEMENTS // (widest * self.block))
         for start in range(0, N, rows):
             u = np.ascontiguousarray(inputs[start : start + rows], dtype=np.float64)
-            state = self._run_chunk(u, state, outputs[start : start + rows], lift)
+            state = self._run_chunk(u, state, outputs[start : start + rows])
         return outputs, state
 
-    def _run_chunk(self, u: Floats, state: Floats, y: Floats, lift: bool) -> Floats:
+    def _run_chunk(self, u: Floats, state: Floats, y: Floats) -> Floats:
         """Fill y; return the state after the chunk."""
         T, m, p = self.block, self.m, self.p
         K = len(u) // T
         rows = np.empty((K, T * m + self.n))
         rows[:, : T * m] = u[: K * T].reshape(K, T * m)
-        drive = rows[:, : T * m] @ self._to_state
-        walk = self._slow.run if lift else self._walk
-        rows[:, T * m :], state = walk(drive, state)
-        np.matmul(rows, self._to_outputs, out=y[: K * T].reshape(K, T * p))
+        drive = rows[:, : T * m] @ self.to_state
+        state = block_states(self.power, drive[:, None], state[None], rows[:, None, T * m :])[0]
+        np.matmul(rows, self.to_outputs, out=y[: K * T].reshape(K, T * p))
         return self._run_rest(u[K * T :], state, y[K * T :])
 
     def _run_rest(self, u: Floats, state: Floats, y: Floats) -> Floats:
@@ -110,20 +99,55 @@ class Lifting:
         r = len(u)
         if r:
             y[:] = (
-                u.ravel() @ self._to_outputs[: r * self.m, : r * self.p]
-                + state @ self._to_outputs[self.block * self.m :, : r * self.p]
+                u.ravel() @ self.to_outputs[: r * self.m, : r * self.p]
+                + state @ self.to_outputs[self.block * self.m :, : r * self.p]
             ).reshape(r, self.p)
         for drive in u @ self.B.T:
             state = self.A @ state + drive
         return state
 
-    def _walk(self, drive: Floats, state: Floats) -> tuple[Floats, Floats]:
-        """Return the state at the start of every block, and after the last, one by one."""
-        states = np.empty_like(drive)
-        for k, step in enumerate(drive):
-            states[k] = state
-            state = self._power @ state + step
-        return states, state
+
+def block_states(power: Floats, drives: Floats, states: Floats, found: Floats) -> Floats:
+    """Fill in the states before each step of x(k+1) = power x(k) + drive(k); return the last.
+
+    Several systems with one transition run at once, and √K stretches of the K steps side by
+    side: each from rest, then what its true start adds.
+
+    Parameters
+    ----------
+    power : array (n, n)
+    drives : array (K, systems, n)
+    states : array (systems, n)
+        At the first step.
+    found : array (K, systems, n)
+        Is filled; may be part of a larger array.
+
+    Returns
+    -------
+    array (systems, n)
+    """
+    step, length = power.T, max(1, math.isqrt(len(drives)))
+    count, (systems, n) = len(drives) // length, states.shape
+    flat = (count, length, systems, n)
+    stretches, inner = drives[: count * length].reshape(flat), found[: count * length].reshape(flat)
+    local = np.zeros((count * systems, n))  # two axes: one product for all
+    for k in range(length):
+        inner[:, k] = local.reshape(count, systems, n)
+        local = local @ step
+        local.reshape(count, systems, n)[...] += stretches[:, k]
+    long = np.linalg.matrix_power(step, length)
+    starts = np.empty((count, systems, n))
+    for k in range(count):
+        starts[k] = states
+        states = states @ long + local[k * systems : (k + 1) * systems]
+    moved = starts.reshape(count * systems, n)
+    for k in range(length):
+        inner[:, k] += moved.reshape(count, systems, n)
+        moved = moved @ step
+    for k in range(count * length, len(drives)):
+        found[k] = states
+        states = states @ step + drives[k]
+    return states
 
 
 def simulate(

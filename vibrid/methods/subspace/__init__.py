@@ -6,17 +6,22 @@ inputs and outputs, W_p past samples, R upper triangle of the Hankel rows [U_f; 
 """
 
 from .layout import Layout
-from .models import Realization, Subspace, assemble
-from .result import as_fit
-from .states import covariance_states, oblique_states, projected_states
+from .models import Subspace, assemble
+from .result import subspace_fit
+from .states import (
+    covariance_states,
+    oblique_states,
+    projected_states,
+    whitened_by_regression,
+)
 
 __all__ = [
     "Layout",
-    "Realization",
     "Subspace",
-    "as_fit",
     "assemble",
     "covariance_states",
     "oblique_states",
     "projected_states",
+    "subspace_fit",
+    "whitened_by_regression",
 ]

@@ -3,43 +3,34 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 import scipy.linalg as sla
 from numpy.typing import NDArray
 
 from ...chunks import Stream
-from ...fit import feedthrough_mask
+from ...fit import Finding, feedthrough_mask
 from ...gram import BlockGram, Factor
-from ...kalman import DETECTABLE, STABLE_TO, riccati_gain, spectral_radius
+from ...kalman import (
+    DETECTABLE,
+    STABLE_TO,
+    innovation_form,
+    riccati_gain,
+    spectral_radius,
+)
 from ...linalg import one_blas_thread, solve_upper
 from ...record import Floats
+from ..excitation_checks import data_findings
+from ..result import Realization
+from .costs import FreeRun, free_run, prediction_cost
+from .feedback import Feedback, feedback_of
 from .layout import Layout
+from .states import NOISE_FREE
 
 USUAL_ORDERS = 64  # states prepared together; larger orders prepare all there are
-NOISE_FREE = 1e-8  # innovation over output, rms: below it rounding outweighs the noise
-
-
-@dataclass(frozen=True, eq=False)
-class Realization:
-    """An innovations model in scaled units, and how it was found."""
-
-    A: Floats
-    B: Floats
-    C: Floats
-    D: Floats
-    K: Floats
-    innovation: Floats
-    state_covariance: Floats
-    transition: str
-    gain: str
-
-    @cached_property
-    def radius(self) -> float:
-        """Spectral radius of A."""
-        return spectral_radius(self.A)
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,8 +44,12 @@ class Subspace:
     state_map : array (largest_order, n_past)
         Rows nest.
     singular_values : array
+    positive_real : bool
+        Whether the Kalman gain follows from covariances that belong to a process, by the
+        Riccati equation, instead of from a regression on the innovations.
     """
 
+    method: Any
     layout: Layout
     factor: Factor
     stream: Stream
@@ -63,7 +58,24 @@ class Subspace:
     state_map: Floats
     singular_values: Floats
     feedthrough: NDArray[np.bool_]
-    transition: str
+    positive_real: bool = False
+
+    @property
+    def reasons(self) -> tuple[str, ...]:
+        """Sentences on sizes chosen: none, the horizon is given."""
+        return ()
+
+    @cached_property
+    def findings(self) -> tuple[Finding, ...]:
+        """What the data lack, and whether the inputs follow the outputs."""
+        feedback = self.feedback.findings() if self.feedback else []
+        return (*data_findings(self.stream, self.gram), *feedback)
+
+    @cached_property
+    def feedback(self) -> Feedback | None:
+        """Test for feedback from the outputs to the inputs; None without inputs or noise."""
+        with one_blas_thread():
+            return feedback_of(self.factor.triangle, self.layout, self.n_columns)
 
     @property
     def largest_order(self) -> int:
@@ -89,14 +101,32 @@ class Subspace:
     def criterion(self, order: int) -> tuple[float, bool]:
         """Return the Bayesian information criterion of this order, and whether it is stable.
 
-        Prediction cost over the horizon plus ln(columns) a parameter; an innovations model
-        of n states has n (2 p + m) of them beside D and the covariance.
+        Prediction cost plus ln(columns) a parameter; an innovations model of n states has
+        n (2 p + m) of them beside D and the covariance. With inputs, the cost is that of the
+        state regression, which does not hang on what a coloured input leaves of B and K;
+        without, of the model over the horizon.
         """
-        model = self.realize(order, self.transition)
+        model = self.realize(order, self.method.transition)
         layout = self.layout
         parameters = order * (2 * layout.n_outputs + layout.n_inputs)
-        value = self.n_columns * self.prediction_cost(model)
+        cost = self.regression_cost(order) if layout.n_inputs else self.prediction_cost(model)
+        value = self.n_columns * cost
         return value + np.log(self.n_columns) * parameters, model.radius <= STABLE_TO
+
+    def regression_cost(self, order: int) -> float:
+        """Return log det of the covariance of y(t) less its regression on x(t) and u(t)."""
+        _, _, _, y = self._split(order)
+        error = y[self.layout.n_inputs + order :]
+        floor = NOISE_FREE**2 * np.diag((y**2).sum(axis=0))
+        return float(np.linalg.slogdet((error.T @ error + floor) / self.n_columns)[1])
+
+    def factors(self, order: int) -> tuple[Floats, Floats | None]:
+        """Return Γ of this order in the coordinates of its model, and that there is no Δ.
+
+        Outputs in units of their own deviation, so that their units do not weigh.
+        """
+        weights = np.tile(self.stream.output_balance, self.layout.future_rows)[:, None]
+        return weights * self.gamma[:, :order], None
 
     def _width(self, order: int) -> int:
         """Return how many states are prepared at once for this order: few serve most orders."""
@@ -146,13 +176,17 @@ class Subspace:
         return self._made[key]
 
     def _realized(self, order: int, transition: str) -> Realization:
-        if transition == "regression":
-            return self._by_regression(order)
-        if transition == "shift":
-            return self._by_shift(order)
+        if transition != "auto":
+            return self._with_gain(self._draft(order, transition))
+        drafts = [self._draft(order, name) for name in ("regression", "shift")]
+        if self.layout.n_inputs:
+            # simulation needs no gain, which is what costs most of small models
+            models = [draft.model for draft in drafts]
+            costs = [(model.radius > STABLE_TO, self.simulation_cost(model)) for model in models]
+            return self.realize(order, models[costs.index(min(costs))].transition)
         return min(
             (self.realize(order, "regression"), self.realize(order, "shift")),
-            key=lambda model: (model.radius > STABLE_TO, self._cost(model)),
+            key=lambda model: (model.radius > STABLE_TO, self.prediction_cost(model)),
         )
 
     @cached_property
@@ -160,64 +194,31 @@ class Subspace:
         # scanning orders and then realizing one asks for the same models again
         return {}
 
-    def _cost(self, model: Realization) -> float:
-        """Return what models are ranked by: simulation with inputs, prediction without."""
-        if self.layout.n_inputs:
-            return self.simulation_cost(model)
-        return self.prediction_cost(model)
-
     def prediction_cost(self, model: Realization) -> float:
         """Return log det of the covariance of the one-step errors at the horizon's end.
 
         The predictor starts from x = J W_p and runs with its own gain through the future
         rows, so a transition that is wrong, or a state that remembers too little, shows.
         """
-        return self._horizon_cost(model, model.K, [self.layout.future_rows - 1])
+        return prediction_cost(
+            self.factor.triangle, self.layout, self.state_map, model, self.n_columns
+        )
 
     def simulation_cost(self, model: Realization) -> float:
         """Return log det of the covariance of the errors when x = J W_p is simulated on.
 
         The mean over four steps of the horizon, the last one among them.
         """
-        last = self.layout.future_rows - 1
-        steps = sorted({max(1, last * k // 4) for k in (1, 2, 3, 4)})
-        return self._horizon_cost(model, np.zeros_like(model.K), steps)
+        width = self._width(len(model.A))
+        if width not in self._free_runs:
+            self._free_runs[width] = free_run(
+                self.factor.triangle, self.layout, self.state_map[:width]
+            )
+        return self._free_runs[width].cost(model, self.n_columns)
 
-    def _horizon_cost(self, model: Realization, gain: Floats, steps: Sequence[int]) -> float:
-        """Return the mean over the steps of log det of the covariance of y − ŷ."""
-        R, p = self.factor.triangle, self.layout.n_outputs
-        responses = _responses(model, gain, max(steps))
-        # one product for all steps: reading R is what it costs
-        maps = [self._error_map(model, responses, step) for step in steps]
-        errors = R @ np.hstack(maps)
-        if not np.isfinite(errors).all():
-            return np.inf
-        total = 0.0
-        for k, step in enumerate(steps):
-            error = errors[:, k * p : (k + 1) * p]
-            floor = NOISE_FREE**2 * np.diag((R[:, self.layout.outputs(step)] ** 2).sum(axis=0))
-            total += np.linalg.slogdet((error.T @ error + floor) / self.n_columns)[1]
-        return total / len(steps)
-
-    def _error_map(
-        self, model: Realization, responses: tuple[Floats, Floats, Floats], step: int
-    ) -> Floats:
-        """Return y − ŷ at a step as a combination of Hankel rows, (n_rows · c, p).
-
-        ŷ(k) = C Ã^k J W_p + Σ_j C Ã^(k−1−j) [B̃ u(j) + K y(j)] + D u(k).
-        """
-        layout, (free, driven, corrected) = self.layout, responses
-        m, p = layout.n_inputs, layout.n_outputs
-        first_output = len(self.factor.triangle) - layout.future_rows * p
-        errors = np.zeros((len(self.factor.triangle), p))
-        past = driven[:step][::-1].transpose(0, 2, 1)
-        errors[: step * m] = -past.reshape(step * m, p)
-        past = corrected[:step][::-1].transpose(0, 2, 1)
-        errors[first_output : first_output + step * p] = -past.reshape(step * p, p)
-        errors[layout.past()] = -(free[step] @ self.state_map[: len(model.A)]).T
-        errors[layout.inputs(step)] = -model.D.T
-        errors[layout.outputs(step)] = np.eye(p)
-        return errors
+    @cached_property
+    def _free_runs(self) -> dict[int, FreeRun]:
+        return {}
 
     # -- the two transitions
 
@@ -232,8 +233,20 @@ class Subspace:
             T[:, m + 2 * width :],
         )
 
-    def _by_regression(self, order: int) -> Realization:
-        u, x, after, y = self._split(order)
+    def _draft(self, order: int, transition: str) -> _Draft:
+        """Return the model of a transition without its gain."""
+        key = (order, transition)
+        if key not in self._drafts:
+            by = self._by_regression if transition == "regression" else self._by_shift
+            self._drafts[key] = by(order)
+        return self._drafts[key]
+
+    @cached_property
+    def _drafts(self) -> dict[tuple[int, str], _Draft]:
+        return {}
+
+    def _by_regression(self, order: int) -> _Draft:
+        _, x, after, y = self._split(order)
         q = self.layout.n_inputs + order
         regressors = self._regression(self._width(order))[:q, :q]
         AB = solve_upper(regressors, after[:q]).T
@@ -244,64 +257,76 @@ class Subspace:
         if still.any() and m:
             C[still] = np.linalg.lstsq(x, y[:, still], rcond=None)[0].T
             D[still] = 0
-        return self._with_gain(
-            A, B, C, D, after - x @ A.T - u @ B.T, y - x @ C.T - u @ D.T, x, "regression"
-        )
+        return self._drafted((A, B, C, D), "regression")
 
-    def _by_shift(self, order: int) -> Realization:
+    def _by_shift(self, order: int) -> _Draft:
         u, x, after, y = self._split(order)
         m = self.layout.n_inputs
         upper, down = self._nested_shift(self._width(order))
         A = solve_upper(upper[:order, :order], down[:order, :order])
         C = self.gamma[: self.layout.n_outputs, :order]
-        rest, out = after - x @ A.T, y - x @ C.T
-        B = solve_upper(u[:m], rest[:m]).T
-        D = solve_upper(u[:m], out[:m]).T * self.feedthrough[:, None]
-        return self._with_gain(A, B, C, D, rest - u @ B.T, out - u @ D.T, x, "shift")
+        B = solve_upper(u[:m], (after - x @ A.T)[:m]).T
+        D = solve_upper(u[:m], (y - x @ C.T)[:m]).T * self.feedthrough[:, None]
+        return self._drafted((A, B, C, D), "shift")
 
-    def _with_gain(
-        self,
-        A: Floats,
-        B: Floats,
-        C: Floats,
-        D: Floats,
-        state_error: Floats,
-        output_error: Floats,
-        x: Floats,
-        transition: str,
-    ) -> Realization:
-        """Regress the state errors on the innovations; Riccati where that does not predict."""
-        samples = self.n_columns
-        innovation = output_error.T @ output_error / samples
-        K, gain = np.zeros((len(A), len(C))), "none: no noise to learn it from"
+    def _drafted(self, matrices: tuple[Floats, Floats, Floats, Floats], transition: str) -> _Draft:
+        A, B, C, D = matrices
+        u, x, after, y = self._split(len(A))
+        errors = after - x @ A.T - u @ B.T, y - x @ C.T - u @ D.T
+        innovation = errors[1].T @ errors[1] / self.n_columns
+        model = Realization(
+            A,
+            B,
+            C,
+            D,
+            np.zeros((len(A), len(C))),
+            innovation,
+            x.T @ x / self.n_columns,
+            transition,
+            "none: no noise to learn it from",
+        )
+        return _Draft(model, *errors)
+
+    def _with_gain(self, draft: _Draft) -> Realization:
+        """Find the gain: by regression on the innovations where that predicts, else Riccati."""
+        model, samples = draft.model, self.n_columns
+        A, C = model.A, model.C
         _, _, _, y = self._split(len(A))
-        if (np.diag(innovation) > NOISE_FREE**2 * (y**2).sum(axis=0) / samples).any():
-            K = sla.lstsq(output_error, state_error, cond=1e-10, check_finite=False)[0].T
-            gain = "regression"
-            if spectral_radius(A - K @ C) >= DETECTABLE:
-                found = riccati_gain(
-                    A,
-                    C,
-                    state_error.T @ state_error / samples,
-                    innovation,
-                    state_error.T @ output_error / samples,
-                )
-                gain = "Riccati" if found else "none: no stable predictor"
-                K, innovation = found or (np.zeros_like(K), innovation)
-        return Realization(A, B, C, D, K, innovation, x.T @ x / samples, transition, gain)
+        size = (y**2).sum(axis=0) / samples
+        if not (np.diag(model.innovation) > NOISE_FREE**2 * size).any():
+            return model
+        K = sla.lstsq(draft.output_error, draft.state_error, cond=1e-10, check_finite=False)[0].T
+        if not self.positive_real and spectral_radius(A - K @ C) < DETECTABLE:
+            return replace(model, K=K, gain="regression")
+        found = _gain_of_residuals(A, C, draft.state_error, draft.output_error, samples)
+        if found is None:
+            return replace(model, gain="none: no stable predictor")
+        return replace(model, K=found[0], innovation=found[1], gain="Riccati")
+
+
+@dataclass(frozen=True, eq=False)
+class _Draft:
+    """A model without its gain, and the residuals that the gain follows from."""
+
+    model: Realization
+    state_error: Floats
+    output_error: Floats
 
 
 def assemble(
+    method: Any,
     stream: Stream,
     gram: BlockGram,
     layout: Layout,
     factor: Factor,
     states: tuple[Floats, Floats, Floats],
     feedthrough: bool | Sequence[bool] | None,
-    transition: str,
+    *,
+    positive_real: bool = False,
 ) -> Subspace:
     """Return the decomposition of Γ, J and singular values found from the factor."""
     return Subspace(
+        method=method,
         layout=layout,
         factor=factor,
         stream=stream,
@@ -310,16 +335,27 @@ def assemble(
         state_map=states[1],
         singular_values=states[2],
         feedthrough=feedthrough_mask(feedthrough, stream.records[0].output_channels),
-        transition=transition,
+        positive_real=positive_real,
     )
 
 
-def _responses(model: Realization, gain: Floats, count: int) -> tuple[Floats, Floats, Floats]:
-    """Return C Ã^k, C Ã^k B̃ and C Ã^k K for k ≤ count; Ã = A − K C, B̃ = B − K D."""
-    A, B = model.A - gain @ model.C, model.B - gain @ model.D
-    free = np.empty((count + 1, *model.C.shape))
-    free[0] = model.C
-    with np.errstate(over="ignore", invalid="ignore"):  # of an unstable model; seen by the caller
-        for k in range(count):
-            free[k + 1] = free[k] @ A
-        return free, free @ B, free @ gain
+def _gain_of_residuals(
+    A: Floats, C: Floats, state_error: Floats, output_error: Floats, samples: int
+) -> tuple[Floats, Floats] | None:
+    """Return gain and innovation covariance of the process that the residuals define.
+
+    Their covariance [Q S; Sᵀ R] is never negative, so with Σ = A Σ Aᵀ + Q, G = A Σ Cᵀ + S and
+    Λ(0) = C Σ Cᵀ + R the covariances C A^(l−1) G are those of a process: a positive real
+    sequence, whose Riccati equation has a solution (Van Overschee & De Moor 1996, stochastic
+    algorithm 3; Han, Bohn & Bauer 2021, eq. 22, 23).
+    """
+    Q = state_error.T @ state_error / samples
+    R = output_error.T @ output_error / samples
+    S = state_error.T @ output_error / samples
+    found = riccati_gain(A, C, Q, R, S)
+    if found is not None or spectral_radius(A) >= DETECTABLE:
+        return found
+    covariance = sla.solve_discrete_lyapunov(A, Q)
+    G, L0 = A @ covariance @ C.T + S, C @ covariance @ C.T + R
+    form = innovation_form(A, C, G, L0) if np.diag(L0).all() else None
+    return None if form is None else (form[0], form[1])

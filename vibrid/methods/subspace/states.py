@@ -3,11 +3,15 @@
 from __future__ import annotations
 
 import numpy as np
+import scipy.linalg as sla
+from numpy.typing import NDArray
 
 from ...errors import DataError
-from ...linalg import RANK_TOLERANCE, divide_by_lower, leading_svd, left_whitener
+from ...linalg import RANK_TOLERANCE, divide_by_lower, leading_svd, left_whitener, solve_upper
 from ...record import Floats
 from .layout import Layout
+
+NOISE_FREE = 1e-8  # innovation over output, rms: below it rounding outweighs the noise
 
 
 def projected_states(
@@ -41,6 +45,70 @@ def oblique_states(R: Floats, layout: Layout, balance: Floats) -> tuple[Floats, 
     U, s, _ = kept_svd(along @ R[:b, a:b].T, layout.largest_order)
     size = s[: U.shape[1]] ** 0.5
     return U * size / weights, (U / size).T @ along, s
+
+
+def whitened_by_regression(R: Floats, layout: Layout) -> tuple[Floats, Floats, Floats] | None:
+    """Return Γ, J and singular values by SSARX (Jansson 2003), or None where noise is missing.
+
+    A regression of y(t) on its direct input and the whole past gives D and the predictor's
+    Markov parameters M_l = [C Ã^(l−1) B̃, C Ã^(l−1) K]. What they say of the future samples'
+    own part is taken off the future outputs,
+
+        ỹ(k) = y(k) − D u(k) − Σ_{l ≤ k} M_l z(k−l) = C Ã^k x(0) + e(k),
+
+    and canonical correlations of ỹ with the past give J. No future input is projected out,
+    so feedback does no harm. ỹ sees Γ̃ of Ã; Γ of A follows from Γ̃ = (I − T_y) Γ.
+
+    Without noise the predictor is not unique: then there is nothing to take off, and the
+    caller has to use another weighting.
+    """
+    past, now = layout.past(), layout.inputs(0)
+    direct, lagged = _predictor_markov(R, layout, past, now)
+    error = R[:, layout.outputs(0)] - R[:, now] @ direct - R[:, past] @ lagged
+    size = np.linalg.norm(R[:, layout.outputs(0)], axis=0)
+    if (np.linalg.norm(error, axis=0) <= NOISE_FREE * size).any():
+        return None
+    toeplitz = _future_part(layout, direct, lagged)
+    triangle = np.asarray(
+        sla.qr(np.hstack([R[:, past], R @ toeplitz]), mode="r", check_finite=False)[0]
+    )[: len(past) + toeplitz.shape[1]]
+    b = len(past)
+    root, inverse = left_whitener(triangle[:, b:].T)
+    U, s, Vt = kept_svd(inverse @ triangle[:b, b:].T, layout.largest_order)
+    scale = s[: U.shape[1]] ** 0.5
+    state_map, _ = divide_by_lower(scale[:, None] * Vt, triangle[:b, :b].T)
+    # the outputs' rows of the map are (I − T_y)ᵀ, unit upper triangular
+    outputs = toeplitz[len(R) - layout.future_rows * layout.n_outputs :]
+    gamma = sla.solve_triangular(outputs.T, root @ U, lower=True, check_finite=False)
+    return np.asarray(gamma) * scale, state_map, s
+
+
+def _predictor_markov(
+    R: Floats, layout: Layout, past: NDArray[np.int64], now: NDArray[np.int64]
+) -> tuple[Floats, Floats]:
+    """Return Dᵀ (m, p) and the coefficients of W_p (n_past, p) of the regression of y(t)."""
+    columns = np.concatenate([past, now, layout.outputs(0)])
+    triangle = np.asarray(sla.qr(R[:, columns], mode="r", check_finite=False)[0])
+    q = len(past) + len(now)
+    found = solve_upper(triangle[:q, :q], triangle[:q, q : len(columns)])
+    return found[len(past) :], found[: len(past)]
+
+
+def _future_part(layout: Layout, direct: Floats, lagged: Floats) -> Floats:
+    """Return ỹ(0), ỹ(1), … as combinations of Hankel rows (n_rows · c, future_rows · p)."""
+    p, c = layout.n_outputs, layout.n_channels
+    toeplitz = np.zeros((len(layout.rows), layout.future_rows * p))
+    for k in range(layout.future_rows):
+        columns = slice(k * p, (k + 1) * p)
+        toeplitz[layout.outputs(k), columns] = np.eye(p)
+        toeplitz[layout.inputs(k), columns] = -direct
+        for lag in range(1, min(k, layout.past_rows) + 1):
+            # the youngest past sample comes last
+            first = (layout.past_rows - lag) * c
+            markov = lagged[first : first + c]
+            toeplitz[layout.inputs(k - lag), columns] = -markov[: c - p]
+            toeplitz[layout.outputs(k - lag), columns] = -markov[c - p :]
+    return toeplitz
 
 
 def covariance_states(

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-import numpy as np
-from scipy import signal
+from collections.abc import Sequence
 
-from .errors import DataError, OptionError, check_positive
-from .record import Floats, Record
+import numpy as np
+
+from ..errors import DataError, OptionError, check_positive
+from ..record import Floats, Record
 
 SMALLEST_SEGMENT = 16  # samples: fewer lines say nothing
 LARGEST_SEGMENT = 8192  # unless more is asked for
@@ -52,13 +53,14 @@ def power_spectrum(
     >>> float(frequencies_hz[np.argmax(psd[:, 0])])
     8.0
     """
+    from scipy import signal
+
     pieces = record.segments()
-    longest = max((stop - start for start, stop in pieces), default=0)
-    length = _segment_length(record, longest, segment_seconds)
+    length = segment_length(record, pieces, segment_seconds)
     total = np.zeros((length // 2 + 1, record.n_inputs + record.n_outputs))
     count = 0
     for start, stop in pieces:
-        for first, last in _stretches(start, stop, length):
+        for first, last in stretches(start, stop, length):
             n_windows = (last - first - length) // (length // 2) + 1
             _, psd = signal.welch(record.read(first, last), 1 / record.dt, nperseg=length, axis=0)
             total += n_windows * psd
@@ -67,8 +69,9 @@ def power_spectrum(
     return lines, np.asarray(total / count)
 
 
-def _segment_length(record: Record, longest: int, seconds: float | None) -> int:
-    """Return the even number of samples in a window."""
+def segment_length(record: Record, pieces: Sequence[tuple[int, int]], seconds: float | None) -> int:
+    """Return the even number of samples in a window that fits a piece of the record."""
+    longest = max((stop - start for start, stop in pieces), default=0)
     if seconds is not None:
         check_positive("segment_seconds", seconds, "s")
         length = 2 * round(seconds / record.dt / 2)
@@ -89,7 +92,7 @@ def _segment_length(record: Record, longest: int, seconds: float | None) -> int:
     return length
 
 
-def _stretches(start: int, stop: int, length: int) -> list[tuple[int, int]]:
+def stretches(start: int, stop: int, length: int) -> list[tuple[int, int]]:
     """Cut a piece into stretches that share no window and lose none."""
     step = length // 2
     n_windows = (stop - start - length) // step + 1

@@ -1,19 +1,19 @@
-"""Modes: poles, shapes and participation of any model, and how to compare them."""
+"""Modes: poles, shapes and participation of any model."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 import scipy.linalg as sla
 from numpy.typing import NDArray
 
-from .errors import DataError, OptionError, check_positive
-from .fit import Fit
-from .record import Channel, Floats, make_channels
-from .statespace import StateSpace
+from ..errors import DataError
+from ..fit import Fit
+from ..record import Channel, Floats, make_channels
+from ..statespace import StateSpace
+from .shapes import mpc
 
 Complexes = NDArray[np.complex128]
 
@@ -129,30 +129,74 @@ def modes_of(model: Fit | StateSpace) -> Modes:
         system = model
         outputs = make_channels(None, system.n_outputs, "y")
         inputs = make_channels(None, system.n_inputs, "u")
-    values, left, vectors = sla.eig(system.A, left=True, right=True)
+    basis = eigenvectors_of(system)
+    poles = basis.poles
+    shapes = _displacement_shapes(system.C @ basis.right, poles, outputs)
+    size = shapes[np.argmax(np.abs(shapes), axis=0), np.arange(len(poles))]
+    size = np.where(size == 0, 1, size)
+    rows = basis.modal_rows(system.B)
+    rows = rows * _input_factors(system.dt, basis.values, inputs) * size[:, None]
+    deviations = (_deviations(model, each, len(poles)) for each in ("frequencies", "damping"))
+    return Modes(poles, shapes / size, rows, basis.real_poles, tuple(outputs), *deviations)
+
+
+def _deviations(model: Fit | StateSpace, name: str, count: int) -> Floats:
+    """Return the standard deviations that a fit knows, in the order of its modes; else NaN."""
+    known = model.diagnostics.figures.get(f"{name}_std") if isinstance(model, Fit) else None
+    return np.full(count, np.nan) if known is None or len(known) != count else np.asarray(known)
+
+
+@dataclass(frozen=True, eq=False)
+class Eigenvectors:
+    """Eigenvectors of the modes of a model, in the order of `modes_of`.
+
+    Attributes
+    ----------
+    values : complex array (n_modes,)
+        Eigenvalues of A: of a discrete model, in the discrete plane.
+    poles : complex array (n_modes,)
+        The same in continuous time [rad/s].
+    right : complex array (n, n_modes)
+        Columns ψ with A ψ = λ ψ.
+    left : complex array (n_modes, n)
+        Rows with l A = λ l, of any size.
+    real_poles : complex array
+        The poles that do not oscillate [rad/s].
+    """
+
+    values: Complexes
+    poles: Complexes
+    right: Complexes
+    left: Complexes
+    real_poles: Complexes
+
+    def modal_rows(self, matrix: Floats) -> Complexes:
+        """Return the rows of Ψ⁻¹ · matrix (n, k) that belong to the modes, (n_modes, k).
+
+        From left vectors, because all of Ψ may be singular where other poles coincide
+        (rigid-body motion). Those of coinciding poles among the modes are paired by their own
+        small matrix; where they have no full set of vectors the rows do not exist and are NaN.
+        """
+        return _paired_rows(self.left @ self.right, self.left @ matrix)
+
+
+def eigenvectors_of(system: StateSpace) -> Eigenvectors:
+    """Return the eigenvectors of a model's modes, frequencies ascending."""
+    values, left, right = sla.eig(system.A, left=True, right=True)
     continuous = _continuous(values, system.dt)
     oscillates = (values.imag > 0) & (continuous.imag > 0)
     chosen = np.flatnonzero(oscillates)
     chosen = chosen[np.argsort(np.abs(continuous[chosen]), kind="stable")]
-    real = np.sort_complex(continuous[values.imag == 0])
-    poles = continuous[chosen]
-    shapes = _displacement_shapes(system.C @ vectors[:, chosen], poles, outputs)
-    size = shapes[np.argmax(np.abs(shapes), axis=0), np.arange(len(chosen))]
-    size = np.where(size == 0, 1, size)
-    rows = _modal_inputs(left[:, chosen].conj().T, vectors[:, chosen], system.B)
-    rows = rows * _input_factors(system.dt, values[chosen], inputs) * size[:, None]
-    unknown = np.full(len(chosen), np.nan)
-    return Modes(poles, shapes / size, rows, real, tuple(outputs), unknown, unknown)
+    return Eigenvectors(
+        values[chosen],
+        continuous[chosen],
+        right[:, chosen],
+        left[:, chosen].conj().T,
+        np.sort_complex(continuous[values.imag == 0]),
+    )
 
 
-def _modal_inputs(left: Complexes, right: Complexes, B: Floats) -> Complexes:
-    """Return the rows of V⁻¹ B that belong to some eigenvectors.
-
-    From left vectors, because all of V may be singular where other poles coincide
-    (rigid-body motion). Those of coinciding poles among these are paired by their own small
-    matrix; where they have no full set of vectors the rows do not exist and are NaN.
-    """
-    pairing, driven = left @ right, left @ B
+def _paired_rows(pairing: Complexes, driven: Complexes) -> Complexes:
     if len(pairing) == 0 or np.linalg.svd(pairing, compute_uv=False)[-1] > PAIRING_LIMIT:
         return np.asarray(np.linalg.solve(pairing, driven))
     own = np.diag(pairing)
@@ -192,96 +236,3 @@ def _input_factors(dt: float | None, values: Complexes, channels: Sequence[Chann
     limited = 1 / (values * dt)
     base = np.array([channel.quantity == "base_acceleration" for channel in channels], dtype=bool)
     return np.asarray(np.where(base[None, :], limited[:, None], held[:, None]) * sign)
-
-
-def mac(first: NDArray[Any], second: NDArray[Any]) -> Floats:
-    """Return the modal assurance criterion between the columns of two sets of shapes.
-
-    |φᴴψ|² / (φᴴφ · ψᴴψ) (Allemang & Brown 1982), between 0 and 1.
-
-    Parameters
-    ----------
-    first, second : array (n_outputs, k), (n_outputs, l)
-
-    Returns
-    -------
-    array (k, l)
-
-    Examples
-    --------
-    >>> mac(np.array([[1.0], [2.0]]), np.array([[2.0, -2.0], [4.0, 1.0]])).round(12).tolist()
-    [[1.0, 0.0]]
-    """
-    if first.shape[0] != second.shape[0]:
-        raise OptionError(
-            f"Shapes have {first.shape[0]} and {second.shape[0]} components; must agree."
-        )
-    cross = np.abs(first.conj().T @ second) ** 2
-    size = np.sum(np.abs(first) ** 2, axis=0)[:, None] * np.sum(np.abs(second) ** 2, axis=0)
-    return np.asarray(np.divide(cross, size, out=np.zeros_like(cross), where=size > 0))
-
-
-def mpc(shapes: NDArray[Any]) -> Floats:
-    """Return the modal phase collinearity of each column: 1 where all move in phase.
-
-    ((Sxx − Syy)² + 4 Sxy²) / (Sxx + Syy)² of the real and imaginary parts about zero
-    (Pappa, Elliott & Schenk 1993; no mean is removed, which suits shapes of one sign too).
-
-    Parameters
-    ----------
-    shapes : complex array (n_outputs, n_modes)
-
-    Returns
-    -------
-    array (n_modes,)
-    """
-    x, y = np.real(shapes), np.imag(shapes)
-    xx, yy, xy = (x * x).sum(axis=0), (y * y).sum(axis=0), (x * y).sum(axis=0)
-    total = xx + yy
-    spread = (xx - yy) ** 2 + 4 * xy**2
-    return np.asarray(np.divide(spread, total**2, out=np.ones_like(total), where=total > 0))
-
-
-def match_modes(
-    first: Modes,
-    second: Modes,
-    *,
-    frequency_limit: float = 0.02,
-    damping_limit: float | None = None,
-    mac_limit: float = 0.8,
-) -> NDArray[np.int64]:
-    """Pair modes of two models, each at most once: as many as the limits allow, then the closest.
-
-    Parameters
-    ----------
-    first, second : Modes
-        Of the same outputs.
-    frequency_limit : float
-        Largest relative difference of frequency.
-    damping_limit : float, optional
-        Largest relative difference of the damping ratio; unlimited by default.
-    mac_limit : float
-        Smallest MAC.
-
-    Returns
-    -------
-    array (n_pairs, 2)
-        Indices into `first` and `second`, ordered by the first.
-    """
-    from scipy.optimize import linear_sum_assignment  # slow to import, and used only here
-
-    if first.n_modes == 0 or second.n_modes == 0:
-        return np.zeros((0, 2), dtype=np.int64)
-    check_positive("frequency_limit", frequency_limit)
-    f, g = first.frequencies_hz[:, None], second.frequencies_hz[None, :]
-    apart = np.abs(f - g) / np.maximum(f, g)
-    alike = mac(first.shapes, second.shapes)
-    allowed = (apart <= frequency_limit) & (alike >= mac_limit)
-    if damping_limit is not None:
-        z, y = first.damping_ratios[:, None], second.damping_ratios[None, :]
-        allowed &= np.abs(z - y) <= damping_limit * np.maximum(np.abs(z), np.abs(y))
-    far = 10.0  # dearer than any allowed pair, so the number of pairs comes first
-    cost = np.where(allowed, apart / frequency_limit + (1 - alike), far)
-    rows, columns = linear_sum_assignment(cost)
-    kept = allowed[rows, columns]
-    return np.stack([rows[kept], columns[kept]], axis=1)

@@ -1,0 +1,1 @@
+"""vibrid beside other packages: each in its own environment and process, on the same data."""

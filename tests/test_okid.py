@@ -1,0 +1,507 @@
+"""OKID and FIR: naive least squares, exact answers, damping, whitening, the combined Hankel."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+import vibrid as vb
+from vibrid.chunks import open_stream
+from vibrid.excitation import white_noise
+from vibrid.gram import reduce
+from vibrid.identification.finishing import finish
+from vibrid.kalman import riccati_gain
+from vibrid.methods.era import ERA, ERADC
+from vibrid.methods.finite_response import fir, truncation
+from vibrid.methods.okid import OKID
+from vibrid.methods.okid.causal import causal_responses
+from vibrid.methods.okid.decomposition import state_map
+from vibrid.methods.okid.method import hankel_sizes
+from vibrid.methods.okid.regression import regress
+from vibrid.scores import fit_percent
+from vibrid.structures import Structure, chain
+
+Floats = NDArray[np.float64]
+EXACT = 1e-8  # relative, promised for noise-free data; measured 2e-13
+DT = 0.05
+
+
+def structure(n_dof: int, damping_ratio: float = 0.01) -> Structure:
+    return chain(np.ones(n_dof), np.full(n_dof, 800.0), damping_ratio=damping_ratio)
+
+
+def clean_test(n_dof: int, rng: np.random.Generator, n_forces: int = 1) -> vb.Record:
+    """Return a noise-free shaker test that starts mid-motion."""
+    frame = structure(n_dof)
+    force = white_noise(3000, n_forces, rng=rng)
+    start = 0.1 * rng.standard_normal(2 * n_dof)
+    return frame.simulate(force, DT, forces=frame.dofs[:n_forces], initial_state=start)
+
+
+def noisy_test(rng: np.random.Generator, n_samples: int = 3000) -> vb.Record:
+    """Return 2 forces and 3 accelerations of 5 DOF that unmeasured forces move too."""
+    frame = structure(5)
+    forces = 0.3 * rng.standard_normal((n_samples, 5))
+    known = rng.standard_normal((n_samples, 2))
+    forces[:, [0, 2]] += known
+    full = frame.simulate(forces, DT, forces=frame.dofs, noise=0.05, rng=rng)
+    return vb.Record(full.outputs[:, [0, 2, 4]], known, dt=DT)
+
+
+def explicit(record: vb.Record, order: int, dropped: int, mask: Floats) -> Floats:
+    """Return the observer Markov parameters by least squares of the regressors laid out."""
+    u, y = record.inputs, record.outputs
+    z, N, m = np.hstack([u, y]), len(y), u.shape[1]
+    past = [z[dropped - k : N - k] for k in range(1, order + 1)]
+    found = np.zeros((order + 1, y.shape[1], z.shape[1]))
+    for j in range(y.shape[1]):
+        columns = np.hstack([*past, u[dropped:]] if mask[j] else past)
+        weights = np.linalg.lstsq(columns, y[dropped:, j], rcond=None)[0]
+        found[1:, j] = weights[: order * z.shape[1]].reshape(order, -1)
+        if mask[j]:
+            found[0, j, :m] = weights[order * z.shape[1] :]
+    return found
+
+
+# -- the regression
+
+
+def test_observer_parameters_equal_explicit_least_squares(rng: np.random.Generator) -> None:
+    """Every order nested in one factor equals a regression of its own over the same samples."""
+    record = noisy_test(rng, 600)
+    stream = open_stream(record, "none")
+    mask = np.array([True, False, True])
+    data = regress(stream, reduce(stream, 9), 8, mask)
+    for order in (1, 5, 8):
+        expected = explicit(record, order, 8, mask)
+        expected *= stream.scale / stream.output_scale[:, None]
+        np.testing.assert_allclose(data.observer(order), expected, atol=1e-10)
+        z = np.hstack([record.inputs, record.outputs]) / stream.scale
+        errors = z[8:, 2:] - sum(z[8 - k : len(z) - k] @ expected[k].T for k in range(order + 1))
+        covariance = errors.T @ errors / len(errors)
+        np.testing.assert_allclose(data.innovation(order), covariance, atol=1e-10)
+
+
+def test_state_map_equals_the_best_start_found_naively(rng: np.random.Generator) -> None:
+    """The state after n samples is that of a predictor started where it errs least."""
+    A = np.array([[0.9, 0.3, 0.0], [-0.3, 0.9, 0.1], [0.0, 0.0, 0.5]])
+    B, C = rng.standard_normal((3, 2)), rng.standard_normal((2, 3))
+    D, K = rng.standard_normal((2, 2)), 0.2 * rng.standard_normal((3, 2))
+    z, weights, n = rng.standard_normal((6, 4)), np.array([1.0, 3.0]), 6
+    found = state_map((A, B, C, D), K, n, weights) @ z[::-1].ravel()
+
+    def run(x: Floats) -> tuple[Floats, Floats]:
+        errors = []
+        for u, y in zip(z[:, :2], z[:, 2:], strict=True):
+            e = y - C @ x - D @ u
+            errors.append(weights * e)
+            x = A @ x + B @ u + K @ e
+        return np.concatenate(errors), x
+
+    still = run(np.zeros(3))[0]
+    slopes = np.stack([run(unit)[0] - still for unit in np.eye(3)], axis=1)
+    start = np.linalg.lstsq(slopes, -still, rcond=None)[0]
+    np.testing.assert_allclose(found, run(start)[1], atol=1e-12)
+
+
+# -- exact answers
+
+
+@pytest.mark.parametrize("realization", ["era", "eradc"])
+@pytest.mark.parametrize(("n_dof", "observer_order"), [(1, 2), (3, 2), (3, 15), (5, None), (10, 8)])
+def test_noise_free_recovery(
+    n_dof: int, observer_order: int | None, realization: str, rng: np.random.Generator
+) -> None:
+    """Markov parameters are exact for observer orders from the least to far too many."""
+    frame, record = structure(n_dof), clean_test(n_dof, rng)
+    method = OKID(observer_order=observer_order, realization=realization)
+    models = method.decompose(record)
+    assert models.rank_limited
+    assert models.largest_order == 2 * n_dof
+    fit = method.realize(models, 2 * n_dof)
+    exact = frame.state_space(forces=frame.dofs[:1]).to_discrete(DT).markov_parameters(60)
+    np.testing.assert_allclose(
+        fit.model.markov_parameters(60), exact, atol=EXACT * np.abs(exact).max()
+    )
+    assert not fit.kalman_gain.any()
+    assert "no-gain" in [finding.code for finding in fit.diagnostics.findings]
+
+
+def test_offsets_gaps_and_two_records_are_exact(rng: np.random.Generator) -> None:
+    """Offsets are projected out, and each piece has its own initial state."""
+    frame, first, second = structure(3), clean_test(3, rng), clean_test(3, rng)
+    y = first.outputs + np.array([5.0, -300.0, 0.02])
+    y[700] = np.nan
+    records = [
+        vb.Record(y, first.inputs + 7, dt=DT),
+        vb.Record(second.outputs + 1.0, second.inputs - 2, dt=DT),
+    ]
+    stream = open_stream(records)
+    method = OKID(observer_order=7)
+    fit = finish(method, method.decompose(stream), 6, stream, "raise")
+    modes = vb.modes_of(fit)
+    np.testing.assert_allclose(modes.frequencies_hz, frame.frequencies_hz, rtol=EXACT)
+    np.testing.assert_allclose(modes.damping_ratios, frame.damping_ratios, rtol=EXACT)
+
+
+def test_one_mass_of_the_realization_chapter(rng: np.random.Generator) -> None:
+    """Mass 1, damping .1, stiffness 1 at 10 Hz: the chapter's eigenvalues to its digits."""
+    states = vb.StateSpace([[0, 1], [-1, -0.1]], [[0], [1]], np.eye(2), np.zeros((2, 1)), None)
+    u = rng.standard_normal((1000, 1))
+    record = vb.Record(states.to_discrete(0.1).simulate(u), u, dt=0.1)
+    method = OKID(observer_order=10, realization=ERA(rows=20, columns=20))
+    fit = method.realize(method.decompose(record), 2)
+    expected = [0.99005398 - 0.09921166j, 0.99005398 + 0.09921166j]
+    np.testing.assert_allclose(np.sort_complex(fit.model.poles), expected, atol=1e-8)
+
+
+def test_displacements_have_no_feedthrough(rng: np.random.Generator) -> None:
+    """With displacement sensors D is zero, and B and C are exact all the same."""
+    frame = structure(3)
+    record = frame.simulate(
+        white_noise(2000, 1, rng=rng), DT, sensors="displacement", forces=frame.dofs[:1]
+    )
+    method = OKID(observer_order=6)
+    fit = method.realize(method.decompose(record), 6)
+    exact = frame.state_space(forces=frame.dofs[:1], sensors="displacement").to_discrete(DT)
+    markov = exact.markov_parameters(40)
+    np.testing.assert_allclose(
+        fit.model.markov_parameters(40), markov, atol=EXACT * np.abs(markov).max()
+    )
+    assert not fit.model.D.any()
+
+
+# -- with noise
+
+
+def damping_bias(method: OKID, records: list[vb.Record]) -> float:
+    """Return the median relative error of the first mode's damping ratio."""
+    frame, found = structure(5), []
+    for record in records:
+        model = method.realize(method.decompose(record), 10).model
+        nearest = np.argmin(np.abs(model.frequencies_hz - frame.frequencies_hz[0]))
+        found.append(model.damping_ratios[nearest] / frame.damping_ratios[0] - 1)
+    return float(np.median(found))
+
+
+def test_the_automatic_order_is_long_enough_for_damping(rng: np.random.Generator) -> None:
+    """Damping comes out within 8 %, where the bound observer_order · outputs ≥ order fails."""
+    records = [noisy_test(rng) for _ in range(12)]
+    chosen = OKID().decompose(records[0])
+    assert 16 <= chosen.method.observer_order <= 40
+    assert "the order of the lowest information criterion" in chosen.reasons[0]
+    assert abs(damping_bias(OKID(), records)) < 0.08  # measured 1 to 2 %
+    assert damping_bias(OKID(observer_order=5), records) > 1  # measured 6
+    short = OKID(observer_order=5).decompose(records[0])
+    assert [finding.code for finding in short.findings] == ["short-observer"]
+
+
+def test_whitening_lets_a_short_observer_do(rng: np.random.Generator) -> None:
+    """Five iterations take most of the bias away that 5 past samples leave."""
+    records = [noisy_test(rng) for _ in range(12)]
+    short = OKID(observer_order=5)
+    white = damping_bias(replace(short, whitening=5), records)
+    assert abs(white) < 0.15 * damping_bias(short, records)  # measured .04
+
+
+def test_light_damping(rng: np.random.Generator) -> None:
+    """Damping ratios of .3 % come out within 20 % of each, sampled 80 times a period."""
+    frame = structure(3, 0.003)
+    record = frame.simulate(
+        white_noise(20_000, 1, rng=rng), 0.02, forces=frame.dofs[:1], noise=0.02, rng=rng
+    )
+    method = OKID()
+    model = method.realize(method.decompose(record), 6).model
+    np.testing.assert_allclose(model.frequencies_hz, frame.frequencies_hz, rtol=2e-3)
+    np.testing.assert_allclose(model.damping_ratios, frame.damping_ratios, rtol=0.2)
+
+
+def test_the_gain_predicts_as_well_as_the_true_one(rng: np.random.Generator) -> None:
+    """One-step errors are within 3 % of the Kalman filter's; with L for K they are not."""
+    frame, record = structure(5), noisy_test(rng, 20_000)
+    method = OKID(observer_order=40)
+    fit = method.realize(method.decompose(record), 10)
+    full = frame.state_space(forces=frame.dofs).to_discrete(DT)
+    C, D = full.C[[0, 2, 4]], full.D[[0, 2, 4]]
+    noise = 0.3**2 * np.eye(5)
+    # simulate() adds noise relative to each output; its variance is read off what is left
+    measured = np.diag(0.05**2 / (1 + 0.05**2) * record.outputs.var(axis=0))
+    best = riccati_gain(
+        full.A, C, full.B @ noise @ full.B.T, D @ noise @ D.T + measured, full.B @ noise @ D.T
+    )
+    assert best is not None
+
+    def error(gain: Floats) -> float:
+        left = record.outputs - replace(fit, kalman_gain=gain).predict(record, "zero")
+        return float(np.trace(np.cov(left[200:].T)))
+
+    assert error(fit.kalman_gain) < 1.03 * np.trace(best[1])
+    assert error(0 * fit.kalman_gain) > 1.03 * error(fit.kalman_gain)
+    np.testing.assert_allclose(
+        np.trace(fit.innovation_covariance), error(fit.kalman_gain), rtol=0.03
+    )
+
+
+def test_the_criterion_finds_the_order(rng: np.random.Generator) -> None:
+    """The information criterion is lowest at the true order."""
+    models = OKID(observer_order=30).decompose(noisy_test(rng, 20_000))
+    values = [models.criterion(order)[0] for order in range(1, 21)]
+    assert int(np.argmin(values)) + 1 == 10
+
+
+def test_a_short_observer_limits_the_order(rng: np.random.Generator) -> None:
+    """Noisy data give observer_order · outputs states, which is no rank of the data."""
+    method = OKID(observer_order=3)
+    models = method.decompose(noisy_test(rng))
+    assert models.largest_order == 9
+    assert not models.rank_limited
+    with pytest.raises(vb.OptionError, match="more than observer_order=3 with 3 outputs allow"):
+        method.realize(models, 10)
+
+
+def test_the_frame_on_the_shake_table(shared_data: Path) -> None:
+    """Where noise is not white the order stays short, and three modes come out within 2 %."""
+    acceleration = np.load(shared_data / "three_story_frame.npz")["acc"][:, :, 0]
+    half = len(acceleration) // 2
+    record = vb.Record(acceleration[:half, 1:], acceleration[:half, :1], dt=1 / 120)
+    models = OKID().decompose(record)
+    assert models.method.observer_order < 40
+    assert "Akaike's falls on to the longest tried, 200" in models.reasons[0]
+    model = models.method.realize(models, 6).model
+    np.testing.assert_allclose(model.frequencies_hz, [3.682, 11.121, 16.606], rtol=0.02)
+    np.testing.assert_allclose(100 * model.damping_ratios, [1.41, 0.93, 0.38], rtol=0.2)
+
+
+def test_factors_belong_to_the_model(rng: np.random.Generator) -> None:
+    """Observability starts with C, C A, …, controllability with B, A B, …, Hankel or combined."""
+    record = clean_test(3, rng, 3)
+    for hankel in ("system", "combined"):
+        models = OKID(observer_order=2, hankel=hankel).decompose(record)
+        found = models.realize(6)
+        observability, controllability = models.factors(6)
+        np.testing.assert_allclose(observability[:6], np.vstack([found.C, found.C @ found.A]))
+        np.testing.assert_allclose(controllability[:, :6], np.hstack([found.B, found.A @ found.B]))
+
+
+def test_units_do_not_matter(rng: np.random.Generator) -> None:
+    """Outputs and inputs in units that no power of two relates give the same poles."""
+    record = noisy_test(rng)
+    scaled = vb.Record(record.outputs * [1.42, 1.9e3, 0.71e-4], record.inputs * [3e4, 0.13], dt=DT)
+    for method in (OKID(observer_order=12), OKID(observer_order=12, realization=ERADC())):
+        first, second = (
+            np.sort_complex(method.realize(method.decompose(each), 10).model.poles)
+            for each in (record, scaled)
+        )
+        np.testing.assert_allclose(second, first, rtol=1e-8)
+
+
+@pytest.mark.slow
+def test_damping_over_seeds() -> None:
+    """Automatic observer orders, 60 tests of 5 DOF: small bias, spread as of long observers."""
+    frame, errors = structure(5), []
+    for seed in range(60):
+        record = noisy_test(np.random.default_rng(seed))
+        method = OKID()
+        model = method.realize(method.decompose(record), 10).model
+        nearest = np.abs(model.frequencies_hz[:, None] - frame.frequencies_hz).argmin(axis=0)
+        errors.append(model.damping_ratios[nearest] / frame.damping_ratios - 1)
+    # means .03 at most, and .18 .11 .07 .07 .06 for the spread of modes 1 to 5
+    spread = np.std(errors, axis=0)
+    error = spread / np.sqrt(len(errors))
+    assert (np.abs(np.mean(errors, axis=0)) < np.maximum(4 * error, 0.02)).all()
+    assert (np.abs(np.mean(errors, axis=0)) < 0.06).all()
+    assert (spread < [0.25, 0.15, 0.1, 0.1, 0.08]).all()
+
+
+def test_correlations_get_fewer_rows() -> None:
+    """ERA/DC stacks its rows; sizes that were asked for stay."""
+    assert hankel_sizes(OKID(observer_order=40), 10, 3) == (120, 120)
+    assert hankel_sizes(OKID(observer_order=40, realization="eradc"), 10, 3) == (20, 120)
+    asked = ERADC(rows=50, columns=70)
+    assert hankel_sizes(OKID(observer_order=40, realization=asked), 10, 3) == (50, 70)
+
+
+# -- the combined Hankel matrix
+
+
+def test_the_combined_hankel_needs_the_least_observer(rng: np.random.Generator) -> None:
+    """[Y, Y°] is exact where observer_order · outputs is the order, and spoilt beyond, said."""
+    frame, record = structure(3), clean_test(3, rng, 3)
+    exact = np.exp(np.concatenate([frame.poles, frame.poles.conj()]) * DT)
+    errors, codes = [], []
+    for observer_order in (2, 6):
+        method = OKID(observer_order=observer_order, hankel="combined")
+        fit = method.realize(method.decompose(record), 6)
+        errors.append(np.abs(np.sort_complex(fit.model.poles) - np.sort_complex(exact)).max())
+        codes.append([finding.code for finding in fit.diagnostics.findings])
+    assert errors[0] < EXACT
+    assert errors[1] > 1e-6
+    assert "combined-hankel" not in codes[0]
+    assert "combined-hankel" in codes[1]
+
+
+def test_states_of_the_observer_alone_are_said(rng: np.random.Generator) -> None:
+    """Six states: two past samples of 3 outputs are their number, four make it twelve."""
+    clean = clean_test(3, rng, 3)
+    chosen = OKID(hankel="combined").decompose(clean)
+    assert chosen.method.observer_order == 2
+    assert chosen.largest_order == 6
+    assert not chosen.findings
+    longer = OKID(observer_order=4, hankel="combined").decompose(clean)
+    assert longer.largest_order == 12
+    assert [finding.code for finding in longer.findings] == ["combined-hankel"]
+    assert "has 12 states; the inputs reach 6" in longer.findings[0].sentence
+
+
+def test_the_combined_hankel_gives_the_same_gain(rng: np.random.Generator) -> None:
+    """At the least observer order both Hankel matrices give one predictor, noise or not."""
+    clean = clean_test(3, rng, 3)
+    noise = 0.05 * clean.outputs.std() * rng.standard_normal(clean.outputs.shape)
+    record = vb.Record(clean.outputs + noise, clean.inputs, dt=DT)
+    predictors = []
+    for hankel in ("system", "combined"):
+        method = OKID(observer_order=2, hankel=hankel)
+        fit = method.realize(method.decompose(record), 6)
+        predictors.append(fit.predictor().markov_parameters(20))
+    np.testing.assert_allclose(predictors[0], predictors[1], atol=1e-8)
+
+
+# -- refusals
+
+
+def test_errors_name_the_number_and_the_cure(rng: np.random.Generator) -> None:
+    """Wrong options and unusable data are refused by message."""
+    record = noisy_test(rng, 200)
+    with pytest.raises(vb.OptionError, match="Did you mean 'era'"):
+        OKID(realization="erra")
+    with pytest.raises(vb.OptionError, match="realization must be ERA"):
+        OKID(realization=7)
+    with pytest.raises(vb.OptionError, match="hankel must be one of system, combined"):
+        OKID(hankel="both")
+    with pytest.raises(vb.OptionError, match="observer_order must be at least 1"):
+        OKID(observer_order=0)
+    with pytest.raises(vb.OptionError, match="whitening must be at least 0"):
+        OKID(whitening=-1)
+    with pytest.raises(vb.DataError, match="OKID needs inputs"):
+        OKID().decompose(record.select(inputs=[]))
+    with pytest.raises(vb.DataError, match=r"observer_order=40 and 5 channels needs at least 246"):
+        OKID(observer_order=40).decompose(record)
+    assert OKID(observer_order=32).decompose(record).largest_order > 10
+    with pytest.raises(vb.DataError, match="Use at most 32, or a longer record"):
+        OKID(observer_order=33).decompose(record)
+    with pytest.raises(vb.DataError, match=r"grow .*-fold over .* Use about 5 iterations"):
+        OKID(observer_order=5, whitening=1).decompose(noisy_test(np.random.default_rng(1)))
+
+
+def test_exploding_responses_are_refused(rng: np.random.Generator) -> None:
+    """Inputs that are no inputs, but hold the outputs' future, make an observer that explodes."""
+    y = rng.standard_normal((3000, 1))
+    y = y[1:] + 3 * y[:-1]  # a moving average whose inverse, run as a system, grows threefold
+    record = vb.Record(y[:-1], y[1:] - 3 * y[:-1] + 0.01 * rng.standard_normal((2998, 1)), dt=DT)
+    with pytest.raises(vb.DataError, match=r"the responses grow .* Use N4SID"):
+        OKID(observer_order=10).decompose(record)
+
+
+# -- outputs that precede their inputs
+
+
+def test_the_causal_part_equals_partial_fractions() -> None:
+    """(1 + 2.9 x) / ((1 − .5 x)(1 + 3 x)), x one lag: the pole at −3 answers at negative lags."""
+    observer = np.array([[[1.0, 0.0]], [[2.9, -2.5]], [[0.0, 1.5]]])
+    found = causal_responses(observer, 60)
+    assert found is not None
+    kept, other = (1 + 2.9 * 2) / 7, (1 - 2.9 / 3) * 6 / 7
+    expected = kept * 0.5 ** np.arange(60)
+    np.testing.assert_allclose(found.joint[:, 0, 0], expected, atol=1e-12)
+    earlier = other**2 / 8
+    np.testing.assert_allclose(found.left_out, earlier / (earlier + kept**2 / 3), rtol=1e-9)
+
+
+@pytest.mark.parametrize("whitening", [0, 2])
+def test_forces_measured_late_do_not_spoil_the_modes(
+    whitening: int, rng: np.random.Generator
+) -> None:
+    """A force channel that lags by most of a sample: modes within 1 %, the lead reported."""
+    frame = structure(3)
+    force = white_noise(6000, 1, rng=rng)
+    record = frame.simulate(force, DT, forces=frame.dofs[:1], noise=0.02, rng=rng)
+    late = 0.5 * force[1:] + force[:-1]  # its inverse has a pole at −2
+    method = OKID(observer_order=20, whitening=whitening)
+    models = method.decompose(vb.Record(record.outputs[1:], late, dt=DT))
+    codes = [finding.code for finding in models.findings]
+    assert "outputs-precede-inputs" in codes
+    model = method.realize(models, 6).model
+    np.testing.assert_allclose(model.frequencies_hz, frame.frequencies_hz, rtol=3e-3)
+    np.testing.assert_allclose(model.damping_ratios, frame.damping_ratios, rtol=0.25)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("observer_order", [5, 10, 20, 40, None])
+def test_subframe_order_20(observer_order: int | None, shared_data: Path) -> None:
+    """28 accelerations that lead their forces: fit above that of FIR and ERA elsewhere (56.5)."""
+    path = shared_data / "flexible_subframe.mat"
+    record = vb.read_record(path, dt=1 / 1024, inputs=["1", "2"])
+    fit = vb.identify(record, OKID(observer_order=observer_order), order=20)
+    modelled = fit.simulate_record(record, "least_squares")
+    assert fit_percent(record.outputs, modelled).mean() > 61  # measured 61.4 to 64.9
+    assert fit_percent(record.outputs, fit.predict(record)).mean() > 62  # measured 64.6 to 67.7
+    codes = [finding.code for finding in fit.diagnostics.findings]
+    assert "outputs-precede-inputs" in codes
+
+
+# -- FIR
+
+
+def test_fir_equals_explicit_least_squares(rng: np.random.Generator) -> None:
+    """The Gram gives what the regressors laid out give; masked outputs have no D."""
+    record = noisy_test(rng, 500)
+    n_lags = 12
+    found = fir(record, n_lags, offset="none", feedthrough=[True, False, True]).values
+    u, N = record.inputs, record.n_samples
+    shifted = np.stack([u[n_lags - 1 - k : N - k] for k in range(n_lags)], axis=1)
+    for j, first in enumerate((0, 1, 0)):
+        columns = shifted[:, first:].reshape(len(shifted), -1)
+        weights = np.linalg.lstsq(columns, record.outputs[n_lags - 1 :, j], rcond=None)[0]
+        np.testing.assert_allclose(found[first:, j], weights.reshape(-1, 2), atol=1e-10)
+    assert not found[0, 1].any()
+
+
+def test_fir_is_exact_where_the_response_has_died(rng: np.random.Generator) -> None:
+    """A heavily damped structure's Markov parameters come back, a lightly damped one's not."""
+    shares, errors = [], []
+    for ratio in (0.3, 0.003):
+        frame = structure(2, ratio)
+        record = frame.simulate(white_noise(4000, 1, rng=rng), DT, forces=frame.dofs[:1])
+        found = fir(record, 150)
+        exact = frame.state_space(forces=frame.dofs[:1]).to_discrete(DT).markov_parameters(150)
+        errors.append(np.abs(found.values - exact).max() / np.abs(exact).max())
+        shares.append(truncation(found))
+    assert errors[0] < EXACT
+    assert shares[0] < EXACT
+    assert errors[1] > 1e-3
+    assert shares[1] > 0.05
+
+
+def test_fir_takes_the_smallest_of_equal_answers(rng: np.random.Generator) -> None:
+    """An input given twice shares its response evenly."""
+    u = rng.standard_normal(400)
+    y = np.convolve(u, [1.0, 0.5, -0.25])[:400]
+    values = fir(vb.Record(y[2:], np.c_[u, u][2:], dt=0.1), 4).values
+    expected = np.array([0.5, 0.25, -0.125, 0.0])
+    np.testing.assert_allclose(values[:, 0], np.c_[expected, expected], atol=1e-10)
+
+
+def test_fir_refuses_what_cannot_be_solved(rng: np.random.Generator) -> None:
+    """No inputs, too few samples."""
+    record = noisy_test(rng, 200)
+    with pytest.raises(vb.DataError, match="needs inputs"):
+        fir(record.select(inputs=[]), 5)
+    with pytest.raises(vb.DataError, match=r"n_lags=80 with 2 inputs needs at least 242 samples"):
+        fir(record, 80)
+    assert fir(record, 66).values.shape == (66, 3, 2)
+    with pytest.raises(vb.OptionError, match="n_lags must be at least 1"):
+        fir(record, 0)

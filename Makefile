@@ -10,7 +10,7 @@ PIP := PIP_CONSTRAINT=$(PINS) PIP_BUILD_CONSTRAINT=$(PINS) PIP_DISABLE_PIP_VERSI
 	$(BIN)/python -m pip install --quiet
 
 .DEFAULT_GOAL := help
-.PHONY: help demo test slow check bench clean
+.PHONY: help demo test slow check bench studies clean
 
 help: ## list these commands
 	@echo "make demo          identify two records: a real building and a simulated shaker test"
@@ -19,6 +19,7 @@ help: ## list these commands
 	@echo "make slow          run the longer evidence and the benchmarks' self-test"
 	@echo "make check         check format and lint (ruff) and types (mypy --strict)"
 	@echo "make bench         write docs/benchmarks.md; ARGS=--quick for small sizes, ARGS='--only W5'"
+	@echo "make studies       run the Monte-Carlo studies and write docs/studies (long)"
 	@echo "make clean         remove .venv, caches and build products"
 	@echo "Each sets up .venv by itself with $(PYTHON); another one: make test PYTHON=python3.12"
 
@@ -39,14 +40,17 @@ check: $(VENV)/dev.stamp
 bench: $(VENV)/dev.stamp
 	$(BIN)/python -m benchmarks $(ARGS)
 
+studies: $(VENV)/dev.stamp
+	$(BIN)/python -m studies $(ARGS)
+
 clean:
 	rm -rf $(VENV) build dist *.egg-info .pytest_cache .mypy_cache .ruff_cache
 	find . -name __pycache__ -type d -prune -exec rm -rf {} +
 
 # Small matrices and few cores: more BLAS threads cost more than they give, and times would vary.
-test slow bench: export OPENBLAS_NUM_THREADS := 1
-test slow bench: export OMP_NUM_THREADS := 1
-test slow bench: export MKL_NUM_THREADS := 1
+test slow bench studies: export OPENBLAS_NUM_THREADS := 1
+test slow bench studies: export OMP_NUM_THREADS := 1
+test slow bench studies: export MKL_NUM_THREADS := 1
 
 $(VENV)/core.stamp: pyproject.toml $(PINS) | $(VENV)/made.stamp
 	@echo "Installing what vibrid needs into $(VENV) …"

@@ -1,4 +1,4 @@
-"""Time whole identifications, one BLAS thread: CPU seconds and memory above the data.
+"""Time whole identifications, one BLAS thread: CPU seconds (median of 5) and memory above the data.
 
 Run ``python -m benchmarks.bench_identify``; ``--quick`` is short. Workloads: a chain with modes
 of 4 to 40 Hz at 100 Hz, white forces, accelerations, 5 % noise; "from the Gram" is A, B, C, D, K
@@ -20,6 +20,7 @@ from benchmarks.timing import peak_megabytes, seconds
 from vibrid.chunks import open_stream
 from vibrid.structures import chain
 
+REPEATS = 5  # their median
 HEADER = "work                                        | seconds | one walk s | MB above data"
 
 
@@ -39,10 +40,10 @@ def torn_record(pieces: int) -> vb.Record:
     return vb.Record(outputs, whole.inputs, dt=whole.dt)
 
 
-def line(name: str, record: vb.Record, work: Callable[[], Any], repeats: int) -> str:
+def line(name: str, record: vb.Record, work: Callable[[], Any]) -> str:
     """Return one line of the table."""
-    spent = seconds(work, repeats)
-    walk = seconds(lambda: open_stream(record), repeats)
+    spent = seconds(work, REPEATS)
+    walk = seconds(lambda: open_stream(record), REPEATS)
     return f"{name:43s} | {spent:7.3f} | {walk:10.3f} | {peak_megabytes(work):13.0f}"
 
 
@@ -89,7 +90,7 @@ def main(arguments: list[str] | None = None) -> None:
             ),
         ]
         for name, record, work in works:
-            print(line(name, record, work, 3 if share > 1 else 1), flush=True)
+            print(line(name, record, work), flush=True)
 
 
 def _sweep(method: vb.SSI, record: vb.Record) -> None:

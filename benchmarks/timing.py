@@ -2,22 +2,21 @@
 
 from __future__ import annotations
 
+import statistics
 import time
 import tracemalloc
 from collections.abc import Callable
 from typing import Any
 
-import numpy as np
-
 
 def seconds(work: Callable[[], Any], repeats: int) -> float:
-    """Return the shortest CPU time of `repeats` runs."""
-    best = np.inf
+    """Return the median CPU time of `repeats` runs."""
+    spent = []
     for _ in range(repeats):
         start = time.process_time()
         work()
-        best = min(best, time.process_time() - start)
-    return best
+        spent.append(time.process_time() - start)
+    return statistics.median(spent)
 
 
 def peak_megabytes(work: Callable[[], Any]) -> float:

@@ -19,7 +19,6 @@ import vibrid as vb
 from vibrid.excitation import white_noise
 from vibrid.methods import ERADC, OKID
 from vibrid.physical import fit_rayleigh, mechanical_model
-from vibrid.refinement import refine
 from vibrid.structures import Structure, chain
 
 PAGE = Path(__file__).resolve().parent.parent / "docs" / "studies" / "physical.md"
@@ -42,7 +41,10 @@ METHODS: dict[str, Any] = {
 Finish = Callable[[vb.Fit, vb.Record], vb.Fit]
 Floats = NDArray[np.float64]
 
-FINISHES: dict[str, Finish] = {"plain": lambda fit, record: fit, "refined": refine}
+FINISHES: dict[str, Finish] = {
+    "plain": lambda fit, record: fit,
+    "refined": lambda fit, record: vb.refine(fit, record, noise="output_error"),
+}
 
 
 @dataclass(frozen=True, eq=False)
@@ -124,7 +126,8 @@ the relative error ‖X̂ − X‖ / ‖X‖ (Frobenius) in per cent.
 
 R is that of the formula R = −M W Λ² Wᵀ M; "R, symmetric" that of the nearest symmetric
 matrices (`structure="symmetric"`), where what hangs on the poles counts more than shapes and
-scale; R* = αM + βK with the coefficients of `fit_rayleigh`.
+scale; R* = αM + βK with the coefficients of `fit_rayleigh`. "Refined" is
+`refine(fit, record, noise="output_error")`: all methods then end at one model.
 
 Written by `python -m studies.physical`.
 """

@@ -538,7 +538,7 @@ def test_forcing_what_a_record_is_taken_for(rng: np.random.Generator) -> None:
 def test_forced_record_by_finite_impulse_responses(rng: np.random.Generator) -> None:
     """A well damped structure's responses die within the lags and are realized."""
     frame = chain([1.0, 1.2], [800.0, 800.0], damping_ratio=0.1)
-    record = frame.simulate(white_noise(8000, rng=rng), DT, forces=["f1"])
+    record = frame.simulate(white_noise(2500, rng=rng), DT, forces=["f1"])
     fit = fitted(ERA(), record, 4)
     assert_same_modes(fit, frame, 1e-3)
     assert fit.diagnostics.figures["fir_truncation"] < 1e-3

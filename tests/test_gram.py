@@ -107,6 +107,19 @@ def test_lagged_sums_against_a_loop(rng: np.random.Generator, n_lags: int, n_sam
     np.testing.assert_allclose(lagged_sums(z, n_lags), loop, atol=ROUNDING * n_samples)
 
 
+@pytest.mark.parametrize("limit", [0, 10**9])
+def test_products_and_transforms_give_the_same(
+    limit: int, rng: np.random.Generator, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Lagged sums multiplied as they are, or in the frequency domain, have the loop's Gram."""
+    monkeypatch.setattr("vibrid.gram.reduction.DIRECT_LIMIT", limit)
+    stream = open_stream(noisy(rng, 700, gap=True))
+    explicit = hankel(stream, 8)
+    gram = reduce(stream, 8).matrix()
+    expected = explicit.T @ explicit
+    np.testing.assert_allclose(gram, expected, atol=ROUNDING * np.abs(expected).max())
+
+
 def test_cholesky_and_qr_agree_on_noisy_data(rng: np.random.Generator) -> None:
     """Both paths have the singular values of the explicit matrix to 1e-12 of the largest."""
     stream = open_stream(noisy(rng, 3000, gap=True))

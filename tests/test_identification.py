@@ -19,6 +19,7 @@ from vibrid.identification import (
     scan_orders,
     steady_modes,
 )
+from vibrid.identification.candidates import stretches
 from vibrid.identification.held_out import held_out_errors, smallest_enough
 from vibrid.identification.modal_basis import modal_basis
 from vibrid.samples import timber_building
@@ -315,7 +316,7 @@ def test_held_out_error_is_that_of_an_explicit_split(rng: np.random.Generator) -
         fit = vb.identify(seen, method, order=6)
         modelled = fit.simulate_record(unseen)[20:]
         errors.append(1 - fit_percent(unseen.outputs[20:], modelled).mean() / 100)
-    found = held_out_errors(open_stream(record), method, None, [6], 24)
+    found = held_out_errors(open_stream(record), method, None, [6])
     # the stream's scale and centre are those of the whole record: rounding and no more
     np.testing.assert_allclose(found[6], np.mean(errors), rtol=2e-3)
 
@@ -350,7 +351,7 @@ def test_smallest_enough_allows_five_percent() -> None:
 def test_short_records_have_no_held_out_errors(rng: np.random.Generator) -> None:
     """Where halves are shorter than the horizon needs, there is no curve."""
     _, record = shaker_test(rng, n_samples=300)
-    assert held_out_errors(open_stream(record), vb.N4SID(block_rows=20), None, [4], 40) == {}
+    assert held_out_errors(open_stream(record), vb.N4SID(block_rows=20), None, [4]) == {}
 
 
 def test_disagreeing_damping_is_said(rng: np.random.Generator) -> None:
@@ -592,3 +593,21 @@ def test_one_sensor_shows_all_modes_of_a_decay(rng: np.random.Generator) -> None
     fit = vb.identify(record)
     assert fit.order == 16
     np.testing.assert_allclose(vb.modes_of(fit).frequencies_hz, frame.frequencies_hz, rtol=1e-6)
+
+
+def test_a_quiet_half_does_not_judge_the_other(rng: np.random.Generator) -> None:
+    """A record that dies out is completed by simulation: its end cannot judge its beginning."""
+    frame = shear_frame(2, 100.0, 2e5, damping_ratio=0.02)
+    force = white_noise(4000, rng=rng, std=100.0) * (np.arange(4000) < 1500)[:, None]
+    record = frame.simulate(force, DT, forces=["f1"], noise=0.02, rng=rng)
+    fit = vb.identify(record, vb.N4SID(block_rows=20), order=4)
+    assert fit.diagnostics.figures["completion"] == "simulation"
+    assert "hardly moves" in fit.diagnostics.figures["completion_reason"]
+
+
+def test_stretches_spread_over_a_long_record(rng: np.random.Generator) -> None:
+    """A share of a long record comes from all of it, and a short one is taken whole."""
+    stream = open_stream(vb.Record(rng.standard_normal((95_000, 1)), dt=DT))
+    assert stretches(stream, 100_000) is stream
+    kept = stretches(stream, 20_000).segments
+    assert [(each.start, each.stop) for each in kept] == [(0, 9500), (47_500, 57_000)]

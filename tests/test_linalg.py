@@ -117,6 +117,11 @@ def test_one_blas_thread_is_limited_and_given_back() -> None:
         assert set(threads()) == {1}
         raise RuntimeError("stop")
     assert threads() == before
+    with one_blas_thread():
+        with one_blas_thread():
+            pass
+        assert set(threads()) == {1}
+    assert threads() == before
 
 
 def test_root_of_a_semidefinite_matrix(rng: np.random.Generator) -> None:

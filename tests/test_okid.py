@@ -1,4 +1,4 @@
-"""OKID and FIR: naive least squares, exact answers, damping, whitening, the combined Hankel."""
+"""OKID: naive least squares, exact answers, damping, whitening, the combined Hankel."""
 
 from __future__ import annotations
 
@@ -16,7 +16,6 @@ from vibrid.gram import reduce
 from vibrid.identification.finishing import finish
 from vibrid.kalman import riccati_gain
 from vibrid.methods.era import ERA, ERADC
-from vibrid.methods.finite_response import fir, truncation
 from vibrid.methods.okid import OKID
 from vibrid.methods.okid.causal import causal_responses
 from vibrid.methods.okid.decomposition import state_map
@@ -197,7 +196,7 @@ def test_the_automatic_order_is_long_enough_for_damping(rng: np.random.Generator
     assert abs(damping_bias(OKID(), records)) < 0.08  # measured 1 to 2 %
     assert damping_bias(OKID(observer_order=5), records) > 1  # measured 6
     short = OKID(observer_order=5).decompose(records[0])
-    assert [finding.code for finding in short.findings] == ["short-observer"]
+    assert [finding.code for finding in short.remarks] == ["short-observer"]
 
 
 def test_whitening_lets_a_short_observer_do(rng: np.random.Generator) -> None:
@@ -350,11 +349,20 @@ def test_states_of_the_observer_alone_are_said(rng: np.random.Generator) -> None
     chosen = OKID(hankel="combined").decompose(clean)
     assert chosen.method.observer_order == 2
     assert chosen.largest_order == 6
-    assert not chosen.findings
+    assert not chosen.remarks
     longer = OKID(observer_order=4, hankel="combined").decompose(clean)
     assert longer.largest_order == 12
-    assert [finding.code for finding in longer.findings] == ["combined-hankel"]
-    assert "has 12 states; the inputs reach 6" in longer.findings[0].sentence
+    assert [finding.code for finding in longer.remarks] == ["combined-hankel"]
+    assert "has 12 states; the inputs reach 6" in longer.remarks[0].sentence
+
+
+def test_dependent_inputs_are_said(rng: np.random.Generator) -> None:
+    """A force given twice shares its response arbitrarily, and a finding says so."""
+    record = clean_test(3, rng)
+    twice = vb.Record(record.outputs, np.asarray(record.inputs)[:, [0, 0]], dt=DT)
+    for method in (OKID(), ERA(rows=20, columns=20)):
+        codes = [finding.code for finding in method.decompose(twice).findings]
+        assert "collinear-inputs" in codes
 
 
 def test_the_combined_hankel_gives_the_same_gain(rng: np.random.Generator) -> None:
@@ -451,57 +459,3 @@ def test_subframe_order_20(observer_order: int | None, shared_data: Path) -> Non
     assert fit_percent(record.outputs, fit.predict(record)).mean() > 62  # measured 64.6 to 67.7
     codes = [finding.code for finding in fit.diagnostics.findings]
     assert "outputs-precede-inputs" in codes
-
-
-# -- FIR
-
-
-def test_fir_equals_explicit_least_squares(rng: np.random.Generator) -> None:
-    """The Gram gives what the regressors laid out give; masked outputs have no D."""
-    record = noisy_test(rng, 500)
-    n_lags = 12
-    found = fir(record, n_lags, offset="none", feedthrough=[True, False, True]).values
-    u, N = record.inputs, record.n_samples
-    shifted = np.stack([u[n_lags - 1 - k : N - k] for k in range(n_lags)], axis=1)
-    for j, first in enumerate((0, 1, 0)):
-        columns = shifted[:, first:].reshape(len(shifted), -1)
-        weights = np.linalg.lstsq(columns, record.outputs[n_lags - 1 :, j], rcond=None)[0]
-        np.testing.assert_allclose(found[first:, j], weights.reshape(-1, 2), atol=1e-10)
-    assert not found[0, 1].any()
-
-
-def test_fir_is_exact_where_the_response_has_died(rng: np.random.Generator) -> None:
-    """A heavily damped structure's Markov parameters come back, a lightly damped one's not."""
-    shares, errors = [], []
-    for ratio in (0.3, 0.003):
-        frame = structure(2, ratio)
-        record = frame.simulate(white_noise(4000, 1, rng=rng), DT, forces=frame.dofs[:1])
-        found = fir(record, 150)
-        exact = frame.state_space(forces=frame.dofs[:1]).to_discrete(DT).markov_parameters(150)
-        errors.append(np.abs(found.values - exact).max() / np.abs(exact).max())
-        shares.append(truncation(found))
-    assert errors[0] < EXACT
-    assert shares[0] < EXACT
-    assert errors[1] > 1e-3
-    assert shares[1] > 0.05
-
-
-def test_fir_takes_the_smallest_of_equal_answers(rng: np.random.Generator) -> None:
-    """An input given twice shares its response evenly."""
-    u = rng.standard_normal(400)
-    y = np.convolve(u, [1.0, 0.5, -0.25])[:400]
-    values = fir(vb.Record(y[2:], np.c_[u, u][2:], dt=0.1), 4).values
-    expected = np.array([0.5, 0.25, -0.125, 0.0])
-    np.testing.assert_allclose(values[:, 0], np.c_[expected, expected], atol=1e-10)
-
-
-def test_fir_refuses_what_cannot_be_solved(rng: np.random.Generator) -> None:
-    """No inputs, too few samples."""
-    record = noisy_test(rng, 200)
-    with pytest.raises(vb.DataError, match="needs inputs"):
-        fir(record.select(inputs=[]), 5)
-    with pytest.raises(vb.DataError, match=r"n_lags=80 with 2 inputs needs at least 242 samples"):
-        fir(record, 80)
-    assert fir(record, 66).values.shape == (66, 3, 2)
-    with pytest.raises(vb.OptionError, match="n_lags must be at least 1"):
-        fir(record, 0)

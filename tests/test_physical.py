@@ -9,6 +9,7 @@ from known_fits import known_fit, structure_fit
 import vibrid as vb
 from vibrid.errors import DataError, OptionError
 from vibrid.excitation import white_noise
+from vibrid.mechanics import modal_damping
 from vibrid.methods import ERA, ERADC, OKID
 from vibrid.physical import mechanical_model
 from vibrid.record import Channel
@@ -78,6 +79,27 @@ def test_noise_free_records_give_their_matrices(n, name, rng):
     record = true.simulate(u, 0.05, forces=[f"f{n}"])
     fit = vb.identify(record, METHODS[name](n), 2 * n, stability="ignore")
     assert max(errors(mechanical_model(fit), true)) < EXACT
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("n", range(1, 9))
+@pytest.mark.parametrize("make", [proportional, general])
+@pytest.mark.parametrize("quantity", [*SENSORS, "mixed"])
+def test_every_sensor_through_every_method(n, make, quantity, rng):
+    """All kinds of sensors and damping, 1 to 8 masses, six methods on records, two on pulses."""
+    true = make(n)
+    mixed = [(SENSORS[k % 3], f"f{k + 1}") for k in range(n)]
+    sensors = mixed if quantity == "mixed" else quantity
+    known = structure_fit(true, sensors, [f"f{n}"])
+    labels = {"output_channels": known.output_channels, "input_channels": known.input_channels}
+    u = white_noise(800 + 400 * n, rng=rng)
+    record = true.simulate(u, 0.05, sensors=sensors, forces=[f"f{n}"])
+    pulses = true.state_space(sensors, [f"f{n}"]).to_discrete(0.05).markov_parameters(400)
+    responses = vb.ImpulseResponses(pulses, dt=0.05, **labels)
+    trials = [(record, make_method(n)) for make_method in METHODS.values()]
+    for data, method in [*trials, (responses, ERA()), (responses, ERADC(lag=1))]:
+        fit = vb.identify(data, method, 2 * n, stability="ignore")
+        assert max(errors(mechanical_model(fit), true)) < EXACT
 
 
 @pytest.mark.parametrize("quantity", SENSORS)
@@ -168,6 +190,56 @@ def test_a_wrong_sign_is_seen():
     )  # of a sensor without a force beside it, the data cannot tell
 
 
+def triangle() -> Structure:
+    """Return three equal masses, each joined to both others: two modes coincide."""
+    K = 100.0 * (4 * np.eye(3) - np.ones((3, 3)))
+    return Structure(np.eye(3), 0.1 * np.eye(3) + 0.002 * K, K)
+
+
+def test_coinciding_modes_need_as_many_pairs():
+    """Two pairs scale two modes at one place exactly, one pair is refused by name."""
+    true = triangle()
+    for forces in (["f1", "f2"], list(true.dofs)):
+        found = mechanical_model(structure_fit(true, "acceleration", forces))
+        assert max(errors(found, true)) < 1e-9 and found.verdict.accepted
+    with pytest.raises(DataError, match=r"2 modes coincide at 3\.183 Hz: .* there is f1"):
+        mechanical_model(structure_fit(true, "acceleration", ["f1"]))
+
+
+def test_noise_mixes_the_shapes_of_coinciding_modes(rng):
+    """Of a noisy record the two are still scaled together: M within 2 %."""
+    true = triangle()
+    u = white_noise(2000, 3, rng=rng)
+    record = true.simulate(u, 0.03, forces=true.dofs, noise=0.05, rng=rng)
+    found = mechanical_model(vb.identify(record, vb.N4SID(block_rows=12), 6))
+    assert error(found.mass, true.mass) < 0.02 and error(found.stiffness, true.stiffness) < 0.02
+
+
+def test_twenty_masses():
+    """Many close modes and one pair: M, R and K to 1e-9."""
+    true = general(20)
+    assert max(errors(mechanical_model(structure_fit(true, "acceleration", ["f20"])), true)) < 1e-9
+
+
+def test_no_damping_is_no_finding():
+    """Of a structure without damping R is rounding, which nobody should worry about."""
+    true = chain([2.0, 1.5, 1.0], [500.0, 700.0, 600.0])
+    found = mechanical_model(structure_fit(true, "acceleration", ["f1"]))
+    assert found.verdict.findings == () and all(found.verdict.determined.values())
+
+
+def test_sensors_at_one_dof_that_disagree():
+    """A wrong DOF puts two sensors at one place: the mean is used, with a warning."""
+    fit = structure_fit(general(3), "acceleration", ["f1"])
+    wrong = [
+        Channel(c.name, c.quantity, c.unit, dof)
+        for c, dof in zip(fit.output_channels, ("f1", "f1", "f3"), strict=True)
+    ]
+    found = mechanical_model(fit, outputs=wrong)
+    assert "unequal_sensors" in [each.code for each in found.verdict.findings]
+    assert not found.verdict.accepted
+
+
 def test_units_become_si():
     """g and kN come out as kg and N/m; no units are called consistent; half of them refuses."""
     true = proportional(2)
@@ -192,8 +264,8 @@ def test_several_pairs_share_the_noise(rng):
     """Of noisy records, all co-located pairs together beat the first one alone."""
     true = proportional(3)
     together, alone = [], []
-    for _ in range(12):
-        u = np.column_stack([white_noise(1500, rng=rng) for _ in range(3)])
+    for _ in range(8):
+        u = white_noise(1000, 3, rng=rng)
         record = true.simulate(u, 0.04, forces=true.dofs, noise=0.05, rng=rng)
         fit = vb.identify(record, vb.N4SID(block_rows=15), 6)
         together.append(error(mechanical_model(fit).mass, true.mass))
@@ -235,6 +307,17 @@ def test_refusals_name_what_is_missing():
         mechanical_model(fit, hold="linear")
     with pytest.raises(OptionError, match="no mode at 99 Hz"):
         mechanical_model(fit, frequencies_hz=[99.0])
+    for wrong in ([], 1.0, ["a"]):
+        with pytest.raises(OptionError, match="list of frequencies"):
+            mechanical_model(fit, frequencies_hz=wrong)
+    with pytest.raises(OptionError, match="no mode at nan Hz"):
+        mechanical_model(fit, frequencies_hz=[np.nan])
+    with pytest.raises(OptionError, match="'acceleration_f1' twice"):
+        mechanical_model(fit, outputs=["acceleration_f1", "acceleration_f1"])
+    with pytest.raises(OptionError, match="delays must be True, False"):
+        mechanical_model(fit, delays="yes")
+    with pytest.raises(OptionError, match="of numbers"):
+        mechanical_model(fit, mass={"f1": 1.0})
 
 
 def test_rigid_body_modes_are_refused_by_name():
@@ -349,20 +432,42 @@ def test_crassidis_and_junkins():
     )
 
 
-def test_modal_masses_of_cara():
+@pytest.mark.parametrize(("noise", "limit"), [(0.0, 1e-8), (0.05, 0.1)])
+def test_crassidis_and_junkins_by_era(noise, limit, rng):
+    """Example 7.6: 4 pulses, 4 positions, 50 s, 5 % of each channel's largest as noise.
+
+    Exact without noise; with it M and K within 10 % in the median, modes 1 and 2 within 2 %.
+    """
+    K = 4.5 * (2 * np.eye(4) - np.eye(4, k=1) - np.eye(4, k=-1))
+    true = Structure(np.eye(4), K / 10, K)
+    known = structure_fit(true, "displacement", true.dofs)
+    exact = true.state_space("displacement", true.dofs).to_discrete(0.1).markov_parameters(500)
+    labels = {"output_channels": known.output_channels, "input_channels": known.input_channels}
+    rows = []
+    for _ in range(5 if noise else 1):
+        pulses = exact + noise * np.abs(exact).max(axis=0) * rng.standard_normal(exact.shape)
+        pulses[0] = exact[0]
+        responses = vb.ImpulseResponses(pulses, dt=0.1, **labels)
+        found = mechanical_model(vb.identify(responses, ERA(), 8, stability="ignore"))
+        rows.append([error(found.mass, true.mass), error(found.stiffness, true.stiffness)])
+        seen = 2 * np.pi * found.frequencies_hz
+        np.testing.assert_allclose(seen[:2], [1.31105, 2.49376], rtol=0.4 * noise + 4e-6)
+    assert np.median(rows, axis=0).max() < limit
+    if not noise:
+        np.testing.assert_allclose(seen, [1.31105, 2.49376, 3.43237, 4.03499], atol=6e-6)
+        assert error(found.damping, true.damping) < EXACT
+
+
+@pytest.mark.parametrize("method", [OKID(observer_order=10), vb.N4SID(block_rows=10)])
+def test_modal_masses_of_cara(method, rng):
     """Two DOFs: ω 10.72016 and 20.85853 rad/s, modal masses 23.8335 and 47.667."""
     M, K = np.diag([35.0, 17.5]), np.array([[12250.0, -3500.0], [-3500.0, 3500.0]])
-    true = Structure(M, 0.02 * 2 * _root_damping(M, K), K)
-    record = structure_fit(true, "acceleration", ["f2"])
-    found = mechanical_model(record)
-    np.testing.assert_allclose(vb.modes_of(record).damping_ratios, 0.02, rtol=1e-8)
+    true = Structure(M, modal_damping(M, K, [0.02, 0.02]), K)
+    record = true.simulate(white_noise(2000, rng=rng), 0.02, forces=["f2"])
+    fit = vb.identify(record, method, 4, stability="ignore")
+    found = mechanical_model(fit)
+    np.testing.assert_allclose(vb.modes_of(fit).damping_ratios, 0.02, rtol=1e-8)
     np.testing.assert_allclose(2 * np.pi * found.frequencies_hz, [10.72016, 20.85853], atol=5e-6)
     shapes = (found.shapes / found.shapes[np.abs(found.shapes).argmax(axis=0), [0, 1]]).real
     masses = np.diag(shapes.T @ found.mass @ shapes)
     np.testing.assert_allclose(masses, [23.8335, 47.667], atol=5e-4)
-
-
-def _root_damping(M, K):
-    """Return M (M⁻¹K)^½, of which 2 ζ times is the damping with one ratio for all modes."""
-    values, vectors = np.linalg.eig(np.linalg.solve(M, K))
-    return M @ (vectors * np.sqrt(values)) @ np.linalg.inv(vectors)

@@ -8,6 +8,8 @@ import numpy as np
 from known_fits import structure_fit
 from rich.console import Console
 
+from vibrid.cli import main
+from vibrid.excitation import white_noise
 from vibrid.physical import MechanicalModel, fit_rayleigh, mechanical_model
 from vibrid.reporting.physical import describe_physical, physical_as_json
 from vibrid.structures import chain
@@ -45,3 +47,21 @@ def test_json_is_json():
     assert facts["mass_std"][0][0] is None
     assert facts["verdict"]["determined"]["mass"] is True
     assert facts["rayleigh"]["explained"] is True
+
+
+def test_command_prints_and_says_what_is_missing(tmp_path, capsys, rng):
+    """From a file with labels: M, R and K. Without: which options name them, exit status 2."""
+    record = TRUE.simulate(white_noise(1500, rng=rng), 0.02, forces=["f3"], noise=0.01, rng=rng)
+    columns = np.column_stack([0.02 * np.arange(1500), record.inputs[:], record.outputs[:]])
+    header = "time [s],push [N],a1 [m/s2],a2 [m/s2],a3 [m/s2]"
+    path = tmp_path / "run.csv"
+    np.savetxt(path, columns, delimiter=",", header=header, comments="")
+    command = ["physical", str(path), "--inputs", "push", "--order", "6"]
+    dofs = ["--dof", "push=f3,a1=f1,a2=f2,a3=f3"]
+    assert main([*command, *dofs, "--json"]) == 0
+    facts = json.loads(capsys.readouterr().out)
+    np.testing.assert_allclose(facts["stiffness"], TRUE.stiffness, atol=10)
+    assert main([*command, *dofs, "--mass", "2,1.5"]) == 2
+    assert "3 masses" in capsys.readouterr().err
+    assert main(command) == 2
+    assert "--quantity a1=acceleration --dof a1=f1" in capsys.readouterr().err

@@ -7,6 +7,7 @@ import pytest
 from known_fits import known_fit, structure_fit
 
 import vibrid as vb
+from vibrid import refine
 from vibrid.errors import DataError, OptionError
 from vibrid.excitation import white_noise
 from vibrid.physical import (
@@ -17,7 +18,6 @@ from vibrid.physical import (
     storey_stiffnesses,
 )
 from vibrid.record import Channel
-from vibrid.refinement import refine
 from vibrid.structures import Structure, chain, shear_frame
 
 
@@ -146,6 +146,54 @@ def test_mass_change_refuses():
         mass_change(after, before, {"f1": 0.1})
 
 
+# -- standard deviations
+
+
+def test_deviations_are_those_of_the_modes(rng):
+    """As many samples of independent modes give, by a plain loop; K's follow with the masses."""
+    true = structure()
+    record = true.simulate(white_noise(1000, rng=rng), 0.04, forces=["f3"], noise=0.02, rng=rng)
+    fit = refine(vb.identify(record, vb.N4SID(block_rows=10), 6), record, noise="output_error")
+    found = mechanical_model(fit, inputs=[], mass=true.mass)
+    figures, modes = fit.diagnostics.figures, vb.modes_of(fit)
+    stiffnesses = []
+    for _ in range(1000):
+        w = 2 * np.pi * modes.frequencies_hz
+        w = w + 2 * np.pi * figures["frequencies_std"] * rng.standard_normal(3)
+        ratios = modes.damping_ratios + figures["damping_std"] * rng.standard_normal(3)
+        poles = w * (-ratios + 1j * np.sqrt(1 - ratios**2))
+        turn = rng.standard_normal((3, 3)) + 1j * rng.standard_normal((3, 3))
+        shapes = modes.shapes + figures["shapes_std"] * turn / np.sqrt(2)
+        X = np.vstack([shapes, shapes * poles])
+        N = -np.hstack([shapes * poles**2, (shapes * poles**2).conj()]) @ np.linalg.inv(
+            np.hstack([X, X.conj()])
+        )
+        stiffnesses.append(N[:, :3].real)
+    seen = np.std(stiffnesses, axis=0)
+    np.testing.assert_allclose(found.normalized_stiffness_std, seen, rtol=0.15)
+    product = np.array([true.mass @ each for each in stiffnesses])
+    seen = np.std(0.5 * (product + product.transpose(0, 2, 1)), axis=0)
+    np.testing.assert_allclose(found.stiffness_std, seen, rtol=0.15)
+    assert np.isnan(mechanical_model(fit).stiffness_std).all()  # with a scale: not known
+
+
+@pytest.mark.slow
+def test_deviations_are_those_of_many_records():
+    """Of 60 records, within 40 % for every entry of M⁻¹K and M⁻¹R."""
+    true = chain([2.0, 1.5, 1.0], [900.0, 700.0, 600.0], rayleigh=(0.1, 4e-4))
+    matrices, deviations = [], []
+    for seed in range(60):
+        rng = np.random.default_rng(seed)
+        u = white_noise(3000, rng=rng)
+        record = true.simulate(u, 0.02, forces=["f3"], noise=0.02, rng=rng)
+        start = vb.identify(record, vb.N4SID(block_rows=15), 6)
+        found = mechanical_model(refine(start, record, noise="output_error"), inputs=[])
+        matrices.append([found.normalized_stiffness, found.normalized_damping])
+        deviations.append([found.normalized_stiffness_std, found.normalized_damping_std])
+    ratio = np.mean(deviations, axis=0) / np.std(matrices, axis=0)
+    assert ratio.min() > 0.7 and ratio.max() < 1.4
+
+
 # -- base excitation
 
 
@@ -195,6 +243,7 @@ def test_delays_are_found_reported_and_set_right():
     assert error(right.normalized_stiffness, exact) < 1e-4
     assert vb.mpc(right.shapes).min() > 0.999999
     named = mechanical_model(fit, delays={"acceleration_f2": 2e-3, "acceleration_f3": -1e-3})
+    assert any("2 ms were taken off as given" in str(each) for each in named.verdict.findings)
     assert error(named.normalized_stiffness, exact) < 1e-9
     with pytest.raises(OptionError, match="No output is called"):
         mechanical_model(fit, delays={"a2": 1e-3})
@@ -210,6 +259,38 @@ def test_a_common_lag_behind_the_base():
     np.testing.assert_allclose(delays.common, 1e-3, rtol=0.02)
     assert delays.imaginary > 3 * delays.corrected_imaginary
     np.testing.assert_allclose(delays.seconds, 0, atol=1e-6)
+
+
+def test_a_common_lag_behind_the_forces():
+    """It spoils the scale, R most of all; it is found, reported and set right on request."""
+    true = chain([2.0, 1.5, 1.0], [500.0, 700.0, 600.0], rayleigh=(0.05, 1e-4))
+    fit = late(structure_fit(true, "acceleration", ["f1"]), np.array([1e-3, 1e-3, 3e-3]))
+    plain, right = mechanical_model(fit), mechanical_model(fit, delays=True)
+    assert error(plain.damping, true.damping) > 0.5
+    assert [e.severity for e in plain.verdict.findings if e.code == "common_delay"] == ["doubt"]
+    np.testing.assert_allclose(right.delays.common, 1e-3, rtol=1e-6)
+    assert error(right.damping, true.damping) < 1e-6
+    assert error(right.stiffness, true.stiffness) < 1e-8
+
+
+def test_damping_is_not_set_right_for_delays_unseen():
+    """Phases of damping that is not proportional, taken off on request, are a doubt."""
+    true = chain([2.0, 1.5, 1.0], [500.0, 700.0, 600.0], dashpots=[0.8, 0.5, 0.4])
+    found = mechanical_model(structure_fit(true, "acceleration", ["f1"]), delays=True)
+    assert [each.code for each in found.verdict.findings] == ["delays_unclear"]
+    assert error(found.damping, true.damping) > 0.05
+
+
+def test_a_wrong_hold_looks_like_half_a_sample():
+    """Band-limited forces taken as held: half a sample of lead behind the forces."""
+    true = chain([2.0, 1.5, 1.0], [500.0, 700.0, 600.0], rayleigh=(0.05, 1e-4))
+    channels = structure_fit(true, "acceleration", ["f1"])
+    model = true.state_space("acceleration", ["f1"]).to_discrete(0.01, "band_limited")
+    found = mechanical_model(
+        model, outputs=channels.output_channels, inputs=channels.input_channels
+    )
+    np.testing.assert_allclose(found.delays.common, -0.005, rtol=0.01)
+    assert any("another hold" in each.cure for each in found.verdict.findings)
 
 
 def test_no_delay_is_claimed_where_there_is_none():
@@ -239,8 +320,10 @@ def table_record(shared_data) -> vb.Record:
     )
 
 
-@pytest.mark.parametrize(("refined", "limit"), [(False, 0.02), (True, 0.005)])
-def test_three_storey_frame_on_a_shake_table(shared_data, refined, limit):
+@pytest.mark.parametrize(
+    ("noise", "limit"), [(None, 0.02), ("innovations", 0.02), ("output_error", 0.005)]
+)
+def test_three_storey_frame_on_a_shake_table(shared_data, noise, limit):
     """Delays, M⁻¹K, storey stiffnesses and the verdict on damping, from the real record."""
     record = table_record(shared_data)
     method = vb.N4SID(weighting="moesp", block_rows=60, transition="shift")
@@ -248,17 +331,19 @@ def test_three_storey_frame_on_a_shake_table(shared_data, refined, limit):
     wall = 0.036  # kg per storey, shape of a beam with both ends held
     mass = np.diag([0.124 + 26 * wall / 35] * 2 + [0.124 + 13 * wall / 35])
     mass += 9 * wall / 70 * (np.eye(3, k=1) + np.eye(3, k=-1))
-    found = mechanical_model(refine(fit, record) if refined else fit, mass=mass, delays=True)
+    if noise is not None:
+        fit = refine(fit, record, noise=noise)
+    found = mechanical_model(fit, mass=mass, delays=True)
     reference = [[6303.0, -3315, 222], [-3283, 6522, -3446], [325, -3801, 3475]]
     assert error(found.normalized_stiffness, np.array(reference)) < limit
     springs = storey_stiffnesses(found.stiffness)
     np.testing.assert_allclose(springs, [466, 467, 497], rtol=limit + 0.01)
     assert found.verdict.checks["asymmetry_stiffness"] < 0.02
-    np.testing.assert_allclose(found.delays.seconds[2], 2.0e-3, atol=0.1e-3)
+    np.testing.assert_allclose(found.delays.seconds[2], 2.0e-3, atol=0.15e-3)
     assert vb.mpc(found.shapes).min() > 0.999
     assert not found.verdict.determined["normalized_damping"]
     assert any("M⁻¹R is not determined" in str(each) for each in found.verdict.findings)
     assert 0.85 < found.mass_ratios[2] < 0.95
-    if refined:
+    if noise == "output_error":
         np.testing.assert_allclose(found.delays.common, 1.15e-3, atol=0.1e-3)
         assert found.delays.imaginary > 0.03 and found.delays.corrected_imaginary < 0.01

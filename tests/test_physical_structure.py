@@ -81,8 +81,8 @@ def test_structure_halves_the_noise(rng):
     """Of noisy records, what is known to be a chain is better found as one."""
     true = chain([2.0, 1.5, 1.0], [500.0, 700.0, 600.0], rayleigh=(0.1, 4e-4))
     plain, helped = [], []
-    for _ in range(10):
-        record = true.simulate(white_noise(2000, rng=rng), 0.04, forces=["f1"], noise=0.05, rng=rng)
+    for _ in range(8):
+        record = true.simulate(white_noise(1200, rng=rng), 0.04, forces=["f1"], noise=0.05, rng=rng)
         fit = vb.identify(record, vb.N4SID(block_rows=15), 6)
         plain.append(error(mechanical_model(fit).damping, true.damping))
         chained = mechanical_model(fit, structure="chain")
@@ -155,5 +155,28 @@ def test_refusals():
         mechanical_model(fit, structure=Topology(weights=[1.0]))
     with pytest.raises(OptionError, match="does not have the pattern"):
         mechanical_model(fit, mass=np.eye(3) + 0.1, structure="chain")
-    with pytest.raises(DataError, match="of the 18 entries"):
+    with pytest.raises(DataError, match=r"6 of the 18 entries .* not M\[f1, f1\]"):
         mechanical_model(fit, structure="symmetric", frequencies_hz=true.frequencies_hz[:1])
+    with pytest.raises(OptionError, match="no DOF is without mass"):
+        mechanical_model(fit, structure=Topology(np.zeros((3, 3), dtype=bool)))
+
+
+def test_entries_that_are_open_are_named():
+    """A DOF apart from the others has its own scale: its entries are open, its coupling is not."""
+    true = chain([1.0, 2.0, 1.5], [300.0, 0.0, 500.0, 200.0], dashpots=[0.1, 0.0, 0.2, 0.1])
+    fit = structure_fit(true, "acceleration", base=True)
+    with pytest.raises(DataError, match=r"11 of the 12 entries .* not M\[f1, f1\]") as problem:
+        mechanical_model(fit, mass=4.5, structure="chain")
+    assert "K[f1, f1]" in str(problem.value) and "K[f1, f2]" not in str(problem.value)
+
+
+def test_what_contradicts_the_data_is_a_warning():
+    """Ten times the mass, or no coupling at all: not accepted, and the cost is said."""
+    fit = structure_fit(structure(), "acceleration", ["f1"])
+    for given in (
+        {"mass": [20.0, 15.0, 10.0]},
+        {"structure": Topology("diagonal", *[np.eye(3, dtype=bool)] * 2)},
+    ):
+        found = mechanical_model(fit, **given)
+        assert "contradicted" in [each.code for each in found.verdict.findings]
+        assert not found.verdict.accepted

@@ -83,6 +83,96 @@ def test_frequency_responses_of_a_record_realize_it(
     np.testing.assert_allclose(modes.frequencies_hz, frame.frequencies_hz, rtol=2e-3)
 
 
+@pytest.mark.parametrize("kept", [slice(0, 256), slice(0, 220), slice(5, None), slice(1, 225)])
+def test_lines_that_end_before_nyquist_show_no_false_rank(frame: Structure, kept: slice) -> None:
+    """What a cut band rings has a numerical rank but is no structure: three modes are found."""
+    lines = (np.arange(257) / (512 * DT))[kept]
+    model = frame.state_space(forces=frame.dofs).to_discrete(DT)
+    fit = vb.identify(vb.FrequencyResponses(model.frequency_response(lines), lines))
+    assert fit.model.spectral_radius < 1
+    modes = vb.modes_of(fit)
+    for frequency, ratio in zip(frame.frequencies_hz, frame.damping_ratios, strict=True):
+        k = int(np.abs(modes.frequencies_hz - frequency).argmin())
+        assert modes.frequencies_hz[k] == pytest.approx(frequency, rel=1e-3)
+        assert modes.damping_ratios[k] == pytest.approx(ratio, rel=0.1)
+
+
+def test_two_masses_of_known_modal_mass(rng: np.random.Generator) -> None:
+    """Cara's example: 10.72016 and 20.85853 rad/s, modal masses 23.8335 and 47.667."""
+    stiffness = np.array([8750.0, 3500.0])  # 12250 less what joins both masses, and that
+    two = chain([35.0, 17.5], stiffness, damping_ratio=0.02)
+    force = white_noise(3000, rng=rng)
+    labels = {
+        "output_channels": [vb.Channel(f"a{k}", "acceleration") for k in (1, 2)],
+        "input_channels": [vb.Channel("f1", "force")],
+    }
+    record = two.simulate(force, 0.02, forces=["f1"])
+    pulses = two.state_space(forces=["f1"]).to_discrete(0.02).markov_parameters(400)
+    for data, method in (
+        (vb.Record(record.outputs, force, dt=0.02, **labels), vb.OKID()),
+        (vb.ImpulseResponses(pulses, dt=0.02, **labels), vb.ERA()),
+    ):
+        modes = vb.modes_of(vb.identify(data, method))
+        np.testing.assert_allclose(np.abs(modes.poles), [10.72016, 20.85853], rtol=1e-6)
+        mass = modes.shapes[0] / (2j * modes.poles.imag * modes.participation[:, 0])
+        np.testing.assert_allclose(mass, [23.8335, 47.667], rtol=1e-5)
+
+
+@pytest.mark.parametrize("size", [1e-200, 1e-120, 1e120, 1e200])
+def test_any_unit_of_responses(frame: Structure, size: float, rng: np.random.Generator) -> None:
+    """Squares of the responses would leave the range of numbers; order and poles stay."""
+    data = noisy_responses(frame, rng)
+    fit = vb.identify(data, order=6)
+    scaled = vb.identify(vb.ImpulseResponses(size * data.values, dt=DT))
+    assert scaled.order == 6
+    same = np.sort_complex(fit.model.poles)
+    np.testing.assert_allclose(np.sort_complex(scaled.model.poles), same, rtol=1e-9)
+
+
+def test_correlations_of_few_columns_have_no_rank(
+    frame: Structure, rng: np.random.Generator
+) -> None:
+    """Stacked correlations have the rank of the responses' columns, which says nothing."""
+    decomposition = vb.ERADC(rows=20, columns=10, lag=2).decompose(noisy_responses(frame, rng))
+    assert not decomposition.rank_limited
+    assert decomposition.largest_order == 30
+    assert vb.identify(noisy_responses(frame, rng), decomposition.method, order=30).order == 30
+
+
+def test_options_that_do_not_belong_are_refused(frame: Structure, rng: np.random.Generator) -> None:
+    """What would be ignored is an error; each says where the option belongs."""
+    data = noisy_responses(frame, rng)
+    ambient = frame.simulate(white_noise(2000, rng=rng), DT, forces=["f1"])
+    alone = ambient.select(inputs=[])
+    with pytest.raises(vb.OptionError, match="ImpulseResponses are taken as they are"):
+        vb.identify(data, vb.ERA(responses="decay"))
+    with pytest.raises(vb.OptionError, match='with responses="decay" there are none'):
+        vb.ERADC(references=("y1",), responses="decay")
+    with pytest.raises(vb.OptionError, match="record has 1 inputs"):
+        vb.identify(ambient, vb.ERA(references=alone.output_names[:1]))
+    with pytest.raises(vb.OptionError, match="inside OKID it has the observer's responses"):
+        vb.OKID(realization=vb.ERA(references=("y1",)))
+    for twice in ((), alone.output_names[:1] * 2):
+        with pytest.raises(vb.OptionError, match="each reference once"):
+            vb.identify(alone, vb.ERA(references=twice))
+
+
+def test_errors_speak_of_the_options_there_are(frame: Structure, rng: np.random.Generator) -> None:
+    """Unstable models and short records name rows and columns, or the observer order."""
+    growing = chain([1.0, 1.2], [800.0, 700.0], rayleigh=(-1.0, 0.0))
+    record = growing.simulate(white_noise(400, rng=rng), DT, forces=["f1"])
+    with pytest.raises(vb.UnstableModelError, match="use other observer_order, or"):
+        vb.identify(record, vb.OKID())
+    pulses = growing.state_space(forces=["f1"]).to_discrete(DT).markov_parameters(100)
+    with pytest.raises(vb.UnstableModelError, match="use other rows and columns, or"):
+        vb.identify(vb.ImpulseResponses(pulses, dt=DT))
+    still = frame.simulate(None, DT, initial_state=0.1 * rng.standard_normal(6), n_samples=12)
+    with pytest.raises(vb.DataError, match=r"rows=2 and columns=2.*responses=\"decay\" takes it"):
+        vb.identify(still, vb.ERA())
+    with pytest.raises(vb.DataError, match="rows=300 and columns=300 need responses of 601 lags"):
+        vb.identify(record, vb.ERA(rows=300, columns=300))
+
+
 def test_ambient_record_by_correlations_and_era(frame: Structure, rng: np.random.Generator) -> None:
     """NExT: one decay a reference, from lag 1 on, and ERA takes them together."""
     force = white_noise(40_000, 3, rng=rng)
@@ -125,8 +215,7 @@ def test_three_storey_frame_on_the_command_line(
     floors = "acc/1st Floor/x,acc/2nd Floor/x,acc/3rd Floor (Top floor)/x"
     path = str(shared_data / "three_story_frame.npz")
     named = ["--inputs", "acc/Ground Floor/x", "--outputs", floors]
-    order = [] if method == "okid" else ["--order", "6"]
-    assert main(["identify", path, "--method", method, *order, *named, "--json"]) == 0
+    assert main(["identify", path, "--method", method, *named, "--json"]) == 0
     found = [mode["frequency_hz"] for mode in json.loads(capsys.readouterr().out)["modes"]]
     for expected in FRAME_HZ:
         assert np.abs(np.array(found) / expected - 1).min() < 0.02

@@ -127,17 +127,17 @@ def test_several_inputs_are_told_apart_across_a_gap(rng: np.random.Generator) ->
 
 def test_noise_lowers_coherence_as_it_should(rng: np.random.Generator) -> None:
     """A tenth of the power is noise: coherence 0.9; H1 does not see noise on the output."""
-    u = rng.normal(size=400_000)
+    u = rng.normal(size=100_000)
     y = np.stack([2 * u, 2 * u]) + np.sqrt(4 / 9) * rng.normal(size=(2, len(u)))
     found = frequency_responses(Record(y.T, u, dt=DT), segment_seconds=128 * DT)
     assert found.coherence is not None
-    assert found.coherence.mean() == pytest.approx(0.9, abs=2e-3)
-    assert np.abs(found.values - 2).max() < 0.1
+    assert found.coherence.mean() == pytest.approx(0.9, abs=4e-3)
+    assert np.abs(found.values - 2).max() < 0.2
     noisy_input = Record(u, y[0], dt=DT)
     second = frequency_responses(noisy_input, segment_seconds=128 * DT, estimator="H2")
     first = frequency_responses(noisy_input, segment_seconds=128 * DT)
-    assert second.values.mean().real == pytest.approx(0.5, abs=2e-3)
-    assert first.values.mean().real == pytest.approx(0.45, abs=2e-3)
+    assert second.values.mean().real == pytest.approx(0.5, abs=4e-3)
+    assert first.values.mean().real == pytest.approx(0.45, abs=4e-3)
 
 
 def test_frequency_responses_equal_scipys(rng: np.random.Generator) -> None:
@@ -190,7 +190,7 @@ def naive(y: np.ndarray, reference: int, n_lags: int) -> np.ndarray:
     rows = []
     for lag in range(1, n_lags + 1):
         pairs = [t for t in range(len(y) - lag) if good[t : t + lag + 1].all()]
-        rows.append(sum(z[t + lag] * z[t, reference] for t in pairs) / len(pairs))
+        rows.append((z[np.add(pairs, lag)] * z[pairs, reference][:, None]).mean(axis=0))
     return np.array(rows)
 
 

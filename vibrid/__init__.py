@@ -12,6 +12,7 @@ from .hammer import (
     undo_exponential_window,
 )
 from .identification import identify
+from .identification.refining import refine
 from .methods import ERA, ERADC, N4SID, OKID, SSI, fir
 from .modes import (
     ModeQuality,
@@ -25,7 +26,6 @@ from .modes import (
 )
 from .physical import MechanicalModel, fit_rayleigh, mechanical_model
 from .record import Channel, FrequencyResponses, ImpulseResponses, Record
-from .refinement import refine
 from .spectra import frequency_responses, impulse_responses, next_correlations
 from .statespace import StateSpace
 

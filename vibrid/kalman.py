@@ -121,13 +121,15 @@ def innovation_form(
     if spectral_radius(A) >= DETECTABLE:
         return None
     white = np.diag(np.diag(L0))
+    found = _positive_real(A, C, G, L0)
+    if found is not None:
+        return *found, 0.0
     raised = max(0.0, -_lowest_spectrum(A, C, G, L0))
-    found = None if raised else _positive_real(A, C, G, L0)
     for _ in range(RAISES):
-        if found is not None:
-            return *found, raised
         raised = max(SMALLEST_RAISE, RAISE_FACTOR * raised)
         found = _positive_real(A, C, G, L0 + raised * white)
+        if found is not None:
+            return *found, raised
     return None
 
 
@@ -154,6 +156,6 @@ def _lowest_spectrum(A: Floats, C: Floats, G: Floats, L0: Floats) -> float:
     angles = np.concatenate([np.linspace(0, np.pi, GRID), np.abs(np.angle(poles))])
     z = np.exp(1j * angles)
     left, right = C @ vectors, np.linalg.solve(vectors, G.astype(complex))
-    causal = np.einsum("pn,zn,nq->zpq", left, 1 / (z[:, None] - poles), right)
+    causal = (left / (z[:, None, None] - poles)) @ right
     spectrum = L0 + causal + causal.conj().transpose(0, 2, 1)
     return float(np.linalg.eigvalsh(spectrum / np.outer(size, size)).min())

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from functools import cache
+from threading import Lock
 
 import numpy as np
 import scipy.linalg as sla
@@ -15,20 +16,52 @@ from .record import Floats
 FULL_SVD_LIMIT = 1500  # smaller side up to which the full SVD is the faster one
 OVERSAMPLING = 20
 POWER_STEPS = 2
+QR_ROOM = 64  # columns that LAPACK may take together
 RANK_TOLERANCE = 1e-12  # relative, for factors of the Gram: their noise is about 1e-15
+
+
+class _OneThread:
+    """One BLAS thread while anyone wants it: the first sets the limit, the last lifts it."""
+
+    def __init__(self) -> None:
+        self._lock, self._users, self._limit = Lock(), 0, ExitStack()
+
+    def enter(self) -> None:
+        with self._lock:
+            self._users += 1
+            if self._users == 1:
+                self._limit.enter_context(_threadpools().limit(limits=1, user_api="blas"))
+
+    def leave(self) -> None:
+        with self._lock:
+            self._users -= 1
+            if self._users == 0:
+                self._limit.close()
 
 
 @cache
 def _threadpools() -> ThreadpoolController:
-    # making a controller costs about a millisecond, entering a limit 0.02 ms
+    # making a controller costs about a millisecond, entering a limit 0.1 ms
     return ThreadpoolController()
+
+
+_ONE_THREAD = _OneThread()
 
 
 @contextmanager
 def one_blas_thread() -> Iterator[None]:
     """Run small and medium kernels on one BLAS thread: two are slower there."""
-    with _threadpools().limit(limits=1, user_api="blas"):
+    _ONE_THREAD.enter()
+    try:
         yield
+    finally:
+        _ONE_THREAD.leave()
+
+
+def triangle(matrix: Floats) -> Floats:
+    """Return the upper triangle R of the QR factorization, (min(rows, columns), columns)."""
+    room = QR_ROOM * matrix.shape[1]
+    return np.triu(sla.lapack.dgeqrf(matrix, lwork=max(1, room))[0][: min(matrix.shape)])
 
 
 def leading_svd(matrix: Floats, rank: int) -> tuple[Floats, Floats, Floats]:
@@ -51,7 +84,10 @@ def leading_svd(matrix: Floats, rank: int) -> tuple[Floats, Floats, Floats]:
     right : array (rank, columns)
     """
     if min(matrix.shape) <= max(FULL_SVD_LIMIT, 2 * rank):
-        left, values, right = sla.svd(matrix, full_matrices=False, lapack_driver="gesdd")
+        if matrix.shape[0] < matrix.shape[1]:  # tall is faster
+            right, values, left = sla.svd(matrix.T, full_matrices=False)
+            return left.T[:, :rank], values, right.T[:rank]
+        left, values, right = sla.svd(matrix, full_matrices=False)
         return left[:, :rank], values, right[:rank]
     rng = np.random.default_rng(0)
     sample = matrix @ rng.standard_normal((matrix.shape[1], rank + OVERSAMPLING))
@@ -73,8 +109,7 @@ def divide_by_lower(matrix: Floats, lower: Floats) -> tuple[Floats, int]:
         return np.zeros((len(matrix), 0)), 0
     diagonal = np.abs(np.diag(lower))
     if diagonal.min() > np.sqrt(RANK_TOLERANCE) * diagonal.max():
-        solved = sla.solve_triangular(lower, matrix.T, lower=True, trans="T", check_finite=False)
-        return np.asarray(solved.T), n
+        return np.asarray(sla.lapack.dtrtrs(lower, matrix.T, lower=1, trans=1)[0].T), n
     left, values, right = sla.svd(lower, full_matrices=False)
     rank = int(np.count_nonzero(values > RANK_TOLERANCE * values[0]))
     return (matrix @ right[:rank].T) / values[:rank] @ left[:, :rank].T, rank
@@ -86,7 +121,7 @@ def solve_upper(upper: Floats, right_hand_side: Floats) -> Floats:
         return np.zeros((len(upper), right_hand_side.shape[1]))
     diagonal = np.abs(np.diag(upper))
     if diagonal.min() > RANK_TOLERANCE * diagonal.max():
-        return np.asarray(sla.solve_triangular(upper, right_hand_side, check_finite=False))
+        return np.asarray(sla.lapack.dtrtrs(upper, right_hand_side)[0])
     return np.asarray(sla.lstsq(upper, right_hand_side, cond=RANK_TOLERANCE)[0])
 
 
@@ -107,11 +142,10 @@ def left_whitener(matrix: Floats) -> tuple[Floats, Floats]:
     space dropped.
     """
     rows = len(matrix)
-    root = np.asarray(sla.qr(matrix.T, mode="r", check_finite=False)[0])[:rows].T
+    root = triangle(matrix.T).T
     diagonal = np.abs(np.diag(root))
     if root.shape == (rows, rows) and diagonal.min() > np.sqrt(RANK_TOLERANCE) * diagonal.max():
-        inverse = sla.solve_triangular(root, np.eye(rows), lower=True, check_finite=False)
-        return root, np.asarray(inverse)
+        return root, np.asarray(sla.lapack.dtrtri(root, lower=1)[0])
     left, values, _ = sla.svd(root, full_matrices=False)
     rank = int(np.count_nonzero(values > RANK_TOLERANCE * values[0]))
     return left[:, :rank] * values[:rank], (left[:, :rank] / values[:rank]).T

@@ -66,6 +66,9 @@ def test_channel_file_and_overrides(named: Path, tmp_path: Path, suffix: str) ->
     other = read_record(named, dt=0.1, channels=path, inputs=["acc1"])
     assert isinstance(other, Record)
     assert other.output_names == ("force", "acc2")
+    chosen = read_record(named, dt=0.1, channels=path, outputs=["acc1"])
+    assert isinstance(chosen, Record)
+    assert (chosen.input_names, chosen.output_names) == (("force",), ("acc1",))
 
 
 @pytest.mark.parametrize(

@@ -153,7 +153,7 @@ def physical(
 ) -> int:
     """Make mass, damping and stiffness matrices from a record or a saved model, with a verdict.
 
-    For example: vibrid physical run.csv --inputs hammer --dof hammer=f1 a1=f1 a2=f2 --order 4
+    For example: vibrid physical run.csv --inputs hammer --channels channels.csv --order 4
 
     Parameters
     ----------

@@ -18,6 +18,7 @@ from ..errors import OptionError, check_choice
 from ..files import read_record
 from ..fit import Fit
 from ..identification.stability import POLICIES
+from ..mechanics import MOTIONS
 from ..methods import METHODS
 from ..physical import MechanicalModel, mechanical_model
 from ..record import QUANTITIES, FrequencyResponses, Record
@@ -174,6 +175,14 @@ class Identifying:
         ),
     ] = None
 
+    refine: Annotated[
+        bool,
+        _help(
+            "Improve the model by maximum likelihood, with standard deviations; with inputs and "
+            "order auto, the order by elimination. Default: the subspace model."
+        ),
+    ] = False
+
     def check(self) -> None:
         """Refuse what no record could make right, before any work."""
         check_choice("--offset", self.offset, OFFSETS)
@@ -242,6 +251,7 @@ class Physical:
 
     def of(self, fit: Fit, filtered: bool) -> MechanicalModel:
         """Return the mechanical model of a fit."""
+        _check_labels(fit)
         masses = numbers("mass", self.mass)
         return mechanical_model(
             fit,
@@ -251,6 +261,18 @@ class Physical:
             delays=self.delays,
             frequencies_hz=numbers("modes", self.modes) or None,
         )
+
+
+def _check_labels(fit: Fit) -> None:
+    """Raise `OptionError`, in words of the command line, where no output has a motion and DOF."""
+    if any(c.quantity in MOTIONS and c.dof is not None for c in fit.output_channels):
+        return
+    name = fit.output_channels[0].name
+    raise OptionError(
+        "Physical coordinates need to know what each channel measures, and where. Give, for each, "
+        f"--quantity {name}=acceleration --dof {name}=f1 (forces too, --quantity NAME=force), or "
+        "--channels FILE; a saved model keeps the labels that it was identified with."
+    )
 
 
 def split_names(values: Sequence[str] | None) -> list[str] | None:

@@ -27,6 +27,8 @@ STEPS = {
     "reduce": "Reducing the data",
     "orders": "Trying orders",
     "complete": "Completing the model",
+    "eliminate": "Removing modes one by one",
+    "refine": "Refining",
     "score": "Scoring the model",
 }
 
@@ -79,6 +81,7 @@ def _identify_responses(
         identifying.chosen_order(),
         feedthrough=identifying.feedthrough,
         stability=identifying.stability,
+        refine=identifying.refine,
         progress=progress,
     )
     reason = "as asked for" if identifying.method else "because these are frequency responses"
@@ -113,6 +116,7 @@ def identify_record(
         offset=identifying.offset,
         feedthrough=identifying.feedthrough,
         stability=identifying.stability,
+        refine=identifying.refine,
         progress=progress,
     )
     progress("score", 0, 1)

@@ -75,9 +75,10 @@ def read_record(
         The file.
     inputs, outputs : sequence of str, optional
         Names of the channels on each side. With `inputs` alone, all other channels are
-        outputs; with neither, the roles that the file or `channels` states, otherwise all
-        channels are outputs. Channels without names are ch1, ch2, … (counted without a time
-        column); "1" and "col1" mean ch1.
+        outputs; with `outputs` alone, the inputs are those that `channels` states; with
+        neither, the roles that the file or `channels` states, otherwise all channels are
+        outputs. Channels without names are ch1, ch2, … (counted without a time column); "1"
+        and "col1" mean ch1.
     dt : float, optional
         Sampling interval [s]; needed when the file has neither an interval, a rate nor a time
         column, and must agree with it to 0.1 %.
@@ -222,6 +223,9 @@ def _choose(
         marked = [name for name in known if _role(record, name, roles) == "input"]
         inputs = marked
         outputs = [name for name in known if name not in marked]
+    elif inputs is None and outputs is not None:
+        kept = resolve(outputs, known, numbered)
+        inputs = [name for name in known if roles.get(name) == "input" and name not in kept]
     if inputs is not None:
         inputs = resolve(inputs, known, numbered)
         if outputs is None:

@@ -132,11 +132,13 @@ class BlockGram:
         if self.offset == "estimate":
             before = np.diag(upper).copy()
             rows = self._row_sums()
-            upper -= np.triu((rows / self._lengths[:, None]).T @ rows)
+            upper -= (rows / self._lengths[:, None]).T @ rows
             still = np.diag(upper) < CONSTANT_SHARE * before
-            upper[still, :] = 0
-            upper[:, still] = 0
-        return np.asarray(upper + np.triu(upper, 1).T)
+            if still.any():
+                upper[still, :] = 0
+                upper[:, still] = 0
+        lower = np.tri(len(upper), k=-1, dtype=bool)
+        return np.asarray(np.where(lower, upper.T, upper))
 
     @cached_property
     def _used(self) -> np.ndarray[tuple[int], np.dtype[np.int64]]:
@@ -146,29 +148,36 @@ class BlockGram:
     @cached_property
     def _lengths(self) -> Floats:
         """Columns of each used segment."""
-        return np.array([self.columns[self.owners == k].sum() for k in self._used], dtype=float)
+        return np.add.reduceat(self.columns, self._starts).astype(float)
+
+    @cached_property
+    def _starts(self) -> np.ndarray[tuple[int], np.dtype[np.int64]]:
+        """The first block of each used segment; its blocks follow each other."""
+        return np.searchsorted(self.owners, self._used)
 
     def _edges(self) -> tuple[Floats, Floats]:
         """Return first and last samples of each used segment (n_used, (n_rows − 1) · c).
 
-        Blocks of a segment follow each other, so inner edges cancel.
+        Inner edges cancel.
         """
-        first = np.searchsorted(self.owners, self._used)
         last = np.searchsorted(self.owners, self._used, side="right") - 1
         flat = (len(self._used), (self.n_rows - 1) * self.n_channels)
-        return self.heads[first].reshape(flat), self.tails[last].reshape(flat)
+        return self.heads[self._starts].reshape(flat), self.tails[last].reshape(flat)
 
     def _row_sums(self) -> Floats:
         """Return the sum of every Hankel row over each used segment (n_used, n_rows · c)."""
         c, used = self.n_channels, len(self._used)
         head, tail = self._edges()
-        first = np.stack([self.sums[self.owners == k].sum(axis=0) for k in self._used])
+        first = np.add.reduceat(self.sums, self._starts, axis=0)
         steps = (tail - head).reshape(used, self.n_rows - 1, c)
         later = first[:, None, :] + np.cumsum(steps, axis=1)
         return np.concatenate([first[:, None, :], later], axis=1).reshape(used, -1)
 
     def _expanded(self) -> Floats:
-        """Fill the upper triangle by displacement, one block row from the one above it."""
+        """Return the upper triangle by displacement, one block row from the one above it.
+
+        What is below the diagonal is not meant.
+        """
         c, n = self.n_channels, self.n_rows
         head, tail = self._edges()
         moved = tail.T @ tail
@@ -178,4 +187,4 @@ class BlockGram:
         for k in range(n - 1):
             row, below = slice(k * c, (k + 1) * c), slice((k + 1) * c, (k + 2) * c)
             gram[below, (k + 1) * c :] = gram[row, k * c : -c] + moved[row, k * c :]
-        return np.triu(gram)
+        return gram

@@ -1,9 +1,12 @@
-"""Reduce a stream to its BlockGram: lagged sums by FFT, block after block."""
+"""Reduce a stream to its BlockGram: lagged sums, block after block."""
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import scipy.fft as fft
+from numpy.lib.stride_tricks import as_strided, sliding_window_view
 from numpy.typing import NDArray
 
 from ..chunks import Segment, Stream
@@ -15,6 +18,8 @@ from .blocks import BlockGram
 TIME_BLOCKS = 50  # partial sums kept, for resampling; fewer on short records
 SHORTEST_BLOCK = 8  # in units of block rows: shorter time blocks would hardly be independent
 FFT_LENGTHS = 6  # FFT length in units of block rows: flat optimum between 4 and 8
+DIRECT_LIMIT = 800  # lags times squared channels up to which plain products beat transforms
+DIRECT_HOP = 8  # columns of a piece that is multiplied as it is
 BATCH_BYTES = 2**19  # pieces transformed together stay in cache
 
 Edges = NDArray[np.int64]
@@ -82,35 +87,63 @@ def lagged_sums(z: Floats, n_lags: int) -> Floats:
 def _lagged_sums(z: Floats, n_lags: int, edges: Edges) -> Floats:
     """Return the lagged sums over the columns between consecutive edges, (parts, n_lags, c, c).
 
-    Overlap-save: pieces of `hop` columns are transformed with and without the samples that
-    the lags reach into; the products add up in the frequency domain, a part's pieces being the
-    inner dimension of a batched matrix product, and one inverse transform ends it.
+    Pieces of `hop` columns are multiplied with the samples that the lags reach into, a part's
+    pieces being the inner dimension of a batched matrix product: few Hankel rows as they are,
+    many after a Fourier transform (overlap-save).
     """
     c, longest = z.shape[1], int(np.diff(edges).max())
-    length = _fft_length(n_lags, longest)
+    direct = n_lags * c**2 <= DIRECT_LIMIT
+    length = DIRECT_HOP + n_lags - 1 if direct else _fft_length(n_lags, longest)
     hop = length - n_lags + 1
+    multiply, finish = (_products, _diagonal_sums) if direct else (_spectra, _inverse)
     pieces = -(-longest // hop)
     batch = max(1, BATCH_BYTES // (16 * length * c))
-    together = max(1, min(batch // pieces, BATCH_BYTES // (16 * length * c**2)))
+    size = 8 * length * c**2 * (hop if direct else 2)
+    together = max(1, min(batch // pieces, BATCH_BYTES // size))
+    flat = np.concatenate([z.ravel(), np.zeros(length * c)])  # the last pieces reach beyond
     sums = np.empty((len(edges) - 1, n_lags, c, c))
     for k in range(0, len(sums), together):
         starts, stops = edges[:-1][k : k + together, None], edges[1:][k : k + together, None]
-        product = np.zeros((len(starts), length // 2 + 1, c, c), dtype=np.complex128)
+        product: Any = None
         for first in range(0, pieces, batch):
             at = starts + hop * np.arange(first, min(first + batch, pieces))
-            ahead, here = _pieces(z, at, stops, hop, length)
-            left = np.conj(fft.rfft(here, axis=2)).transpose(0, 2, 3, 1)
-            product += left @ fft.rfft(ahead, axis=2).transpose(0, 2, 1, 3)
-        sums[k : k + together] = fft.irfft(product, n=length, axis=1)[:, :n_lags]
+            at = np.minimum(at, len(z))  # where other parts are longer
+            ahead = sliding_window_view(flat, length * c)[at * c].reshape(*at.shape, length, c)
+            columns = at[..., None] + np.arange(hop) < stops[..., None]
+            here = ahead[:, :, :hop] * columns[..., None]
+            more = multiply(here, ahead)
+            product = more if first == 0 else product + more
+        sums[k : k + together] = finish(product, n_lags, length)
     return sums
 
 
-def _pieces(z: Floats, starts: Edges, stops: Edges, hop: int, length: int) -> tuple[Floats, Floats]:
-    """Return `length` samples from each start on, and those of them that are columns."""
-    at = starts[..., None] + np.arange(length)
-    ahead = z.take(at, axis=0, mode="clip")
-    columns = (at < np.minimum(starts + hop, stops)[..., None])[..., None]
-    return ahead, ahead * columns
+def _products(here: Floats, ahead: Floats) -> Floats:
+    """Return the products of columns and samples ahead (parts, hop, c, length, c)."""
+    parts, pieces, length, c = ahead.shape
+    hop = here.shape[2]
+    left = here.reshape(parts, pieces, hop * c).transpose(0, 2, 1)
+    found = left @ ahead.reshape(parts, pieces, length * c)
+    return np.asarray(found.reshape(parts, hop, c, length, c))
+
+
+def _diagonal_sums(products: Floats, n_lags: int, length: int) -> Floats:
+    """Return the sums of products of the same lag (parts, n_lags, c, c)."""
+    parts, hop, c, _, _ = products.shape
+    each, column, channel, row, other = products.strides
+    by_lag = as_strided(
+        products, (parts, hop, n_lags, c, c), (each, column + row, row, channel, other)
+    )
+    return np.asarray(by_lag.sum(axis=1))
+
+
+def _spectra(here: Floats, ahead: Floats) -> NDArray[np.complex128]:
+    """Return the cross spectra of columns and samples ahead (parts, frequencies, c, c)."""
+    left = np.conj(fft.rfft(here, n=ahead.shape[2], axis=2)).transpose(0, 2, 3, 1)
+    return np.asarray(left @ fft.rfft(ahead, axis=2).transpose(0, 2, 1, 3))
+
+
+def _inverse(spectra: NDArray[np.complex128], n_lags: int, length: int) -> Floats:
+    return np.asarray(fft.irfft(spectra, n=length, axis=1)[:, :n_lags])
 
 
 def _fft_length(n_lags: int, columns: int) -> int:

@@ -15,8 +15,9 @@ from ..record import FrequencyResponses, ImpulseResponses, Record
 from .assessment import Assessment, assess, assess_last
 from .choice import Progress, choose, choose_for_responses
 from .completion import complete
-from .findings import with_reasons
+from .findings import with_findings, with_reasons
 from .finishing import finish, settled
+from .refining import refined, refined_order
 from .scan import OrderScan, scan_orders, steady_modes
 from .stability import POLICIES
 
@@ -51,6 +52,7 @@ def identify(
     offset: str = "estimate",
     feedthrough: bool | Sequence[bool] | None = None,
     stability: str = "raise",
+    refine: bool = False,
     progress: Progress | None = None,
 ) -> Fit:
     """Identify a state-space model from records or from measured responses.
@@ -73,6 +75,10 @@ def identify(
         Whether D is estimated; None: not for displacements and velocities.
     stability : "raise", "project" or "ignore"
         What to do when the model is unstable.
+    refine : bool
+        Improve the model by maximum likelihood, see `refine`; with inputs and order "auto"
+        the order comes from elimination: modes of a model with too many are removed one by
+        one, what is left refined and scored on unseen halves.
     progress : callable (what, done, total), optional
         Called now and then during long work.
 
@@ -105,13 +111,19 @@ def identify(
     _check_order(order)
     report: Progress = progress or (lambda what, done, total: None)
     if isinstance(data, Responses):
+        if refine:
+            raise OptionError("refine=True needs records; responses are realized as they are.")
         return _from_responses(data, method, order, feedthrough, stability, report)
     stream = open_stream(data, offset)
     method = _checked_method(method, stream.records[0])
     report("reduce", 0, 1)
+    if refine and isinstance(order, str) and stream.n_inputs:
+        return with_findings(refined_order(stream, method, feedthrough, report), stream)
     choice = choose(stream, method, order, feedthrough, report)
     report("complete", 0, 1)
     fit = finish(choice.method, choice.decomposition, choice.order, stream, stability)
+    if refine:
+        fit = refined(fit, stream, progress=report)
     return with_reasons(fit, stream, choice)
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -18,6 +19,7 @@ HORIZONS = (10, 20, 40, 80)
 LARGEST_HANKEL = 2600  # rows: beyond it a factorization takes seconds
 CLOSE = 0.02  # of the criterion a sample and output: a longer horizon must gain more
 AS_GOOD = 1.02  # of the best simulation error: candidates within it are equal
+STRETCH = 10_000  # samples of each stretch of a long stream, at most
 LONGEST_RANKED = 20_000  # samples that candidates are ranked on
 
 Mask = bool | Sequence[bool] | None
@@ -106,6 +108,19 @@ def shortened(stream: Stream) -> Stream:
             kept.append(replace(segment, stop=segment.start + length))
         left -= length
     return replace(stream, segments=tuple(kept))
+
+
+def stretches(stream: Stream, n_samples: int) -> Stream:
+    """Return stretches spread evenly over a long stream, about `n_samples` in all."""
+    step = -(-stream.n_samples // n_samples)
+    if step == 1:
+        return stream
+    cut = []
+    for segment in stream.segments:
+        count = -(-segment.length // STRETCH)
+        edges = np.linspace(segment.start, segment.stop, count + 1).round().astype(int).tolist()
+        cut += [replace(segment, start=a, stop=b) for a, b in pairwise(edges)]
+    return replace(stream, segments=tuple(cut[::step]))
 
 
 def first_close(values: Sequence[float], n_outputs: int) -> int:

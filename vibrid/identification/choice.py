@@ -23,8 +23,9 @@ from .candidates import (
     weighting_of,
 )
 from .held_out import GRID, held_out_errors, smallest_enough
-from .scan import OrderScan, choose_order, scan_orders
+from .scan import OrderScan, choose_order, scan_orders, steady_modes
 
+LONGEST_MEMORY = 20  # samples: a longer horizon leaves too few observations of a short record
 KEPT = 1.2  # of the simulation error: more with a few more columns is an accident
 
 Progress = Callable[[str, int, int], None]
@@ -300,8 +301,7 @@ def _by_held_out(stream: Stream, choice: Choice, feedthrough: Mask) -> Choice:
     assert choice.scan is not None
     stable = choice.scan.orders[choice.scan.stable]
     orders = [int(k) for k in stable if k <= choice.order and (k in GRID or k == choice.order)]
-    n_rows = choice.decomposition.gram.n_rows
-    errors = held_out_errors(stream, choice.method, feedthrough, orders, n_rows)
+    errors = held_out_errors(stream, choice.method, feedthrough, orders)
     # at 100 % error the halves say nothing: one of them may hold no force at all
     if choice.order not in errors or min(errors.values()) >= 1:
         return _by_seen(stream, choice, orders)
@@ -323,11 +323,18 @@ def _by_seen(stream: Stream, choice: Choice, orders: Sequence[int]) -> Choice:
 
     Where unseen halves say nothing: they are too short, or hold other frequencies. Errors of
     a simulation are not white, so samples within a horizon count as one observation: the
-    criterion is (N p / h) ln error² + n (m + p) ln(N p / h) with the horizon h.
+    criterion is (N p / h) ln error² + n (m + p) ln(N p / h) with the horizon h, at most 20.
+    Where h is no more than how far responses reach, which is far longer than their memory, no
+    order is taken that lacks modes which persist.
     """
+    assert choice.scan is not None
+    steady = steady_modes(choice.scan, choice.order)
+    if steady is not None and not hasattr(choice.method, "block_rows"):
+        orders = [order for order in orders if order >= steady[0]]
     m, p = stream.n_inputs, stream.n_outputs
     short = shortened(stream)
-    horizon = choice.decomposition.gram.n_rows // 2
+    rows = getattr(choice.method, "block_rows", None)
+    horizon = min(rows, LONGEST_MEMORY) if rows else choice.decomposition.gram.n_rows // 2
     observed = max(2.0, short.n_samples * p / horizon)
     values = {}
     for order in orders:

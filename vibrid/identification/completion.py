@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -19,6 +20,7 @@ from .modal_basis import modal_basis
 from .walk import Piece
 
 OFFSET_SPREAD = 0.1  # of an output's standard deviation: smaller differences are not told
+LEAST_ENERGY = 0.1  # of the outputs' energy in each half, to judge by what it has not seen
 SPLIT_LENGTH = 10  # in states: pieces shorter than twice this are not split for the check
 
 
@@ -55,34 +57,71 @@ def complete(fit: Fit, stream: Stream, completion: str = "auto") -> Fit:
         With B, D (kept for "regression"), offsets, the initial state of every segment, and
         the covariance of the prediction errors of the completed model.
     """
-    scaled = _scaled(fit, stream)
-    pieces = _pieces(stream, len(scaled.A))
-    forms = _forms(stream, scaled, pieces)
-    if not forms:
-        return _uncompleted(fit, stream)
-    form, why = _choose(completion, scaled, forms, pieces)
-    equations = forms[form]
-    keep = completion == "regression"
-    unknowns = _fixed(equations, scaled) if keep else equations.solve()
-    return _finished(fit, stream, scaled, forms, form, unknowns, {"completion_reason": why})
+    return Completion(fit, stream, compare=completion == "auto").complete(completion)
 
 
-def _forms(stream: Stream, scaled: _Scaled, pieces: Sequence[Piece]) -> dict[str, Equations]:
-    """Return the equations of simulation and of prediction, as far as they say something.
+class Completion:
+    """What completes a fit on a stream; each form's equations are set up when asked for.
 
-    Without inputs a simulation is a free decay, which noise-driven data are not.
+    Parameters
+    ----------
+    compare : bool
+        Whether simulation and prediction may have to be compared on unseen halves.
     """
-    forms = {}
-    if stream.n_inputs or not scaled.K.any():
-        simulated = _equations(stream, scaled, pieces, np.zeros_like(scaled.K))
-        if simulated is None:
-            return {}
-        forms["simulation"] = _reweighted(simulated)
-    if scaled.K.any():
-        predicted = _equations(stream, scaled, pieces, scaled.K)
-        if predicted is not None:
-            forms["prediction"] = predicted
-    return forms
+
+    def __init__(self, fit: Fit, stream: Stream, *, compare: bool = True) -> None:
+        self.fit, self.stream = fit, stream
+        self._scaled = _scaled(fit, stream)
+        self._pieces = _pieces(stream, len(self._scaled.A), split=compare)
+
+    @cached_property
+    def simulated(self) -> Equations | None:
+        """The equations of the simulation, or None where poles coincide."""
+        scaled = self._scaled
+        found = _equations(self.stream, scaled, self._pieces, np.zeros_like(scaled.K))
+        return None if found is None else _reweighted(found)
+
+    @cached_property
+    def forms(self) -> dict[str, Equations]:
+        """The equations of simulation and of prediction, as far as they say something.
+
+        Without inputs a simulation is a free decay, which noise-driven data are not.
+        """
+        forms, noisy = {}, bool(self._scaled.K.any())
+        if self.stream.n_inputs or not noisy:
+            if self.simulated is None:
+                return {}
+            forms["simulation"] = self.simulated
+        if noisy:
+            predicted = _equations(self.stream, self._scaled, self._pieces, self._scaled.K)
+            if predicted is not None:
+                forms["prediction"] = predicted
+        return forms
+
+    @cached_property
+    def simulation_error(self) -> float:
+        """Relative rms error of the least-squares simulation; infinite where there is none."""
+        if self.simulated is None:
+            return np.inf
+        covariance = self.simulated.covariance(self.simulated.solve())
+        return _relative_rms(covariance, self.stream.output_balance)
+
+    def choose(self, completion: str = "auto") -> tuple[str, str]:
+        """Return "simulation" or "prediction", and why."""
+        if not self.forms:
+            return "regression", "poles coincide"
+        return _choose(completion, self._scaled, self.forms, self._pieces)
+
+    def complete(self, completion: str = "auto", why: str = "") -> Fit:
+        """Return the completed fit; `why` says how its form was chosen, where it was."""
+        if not self.forms:
+            return _uncompleted(self.fit, self.stream)
+        form, reason = self.choose(completion)
+        equations = self.forms[form]
+        keep = completion == "regression"
+        unknowns = _fixed(equations, self._scaled) if keep else equations.solve()
+        figures = {"completion_reason": why or reason}
+        return _finished(self.fit, self.stream, self._scaled, self.forms, form, unknowns, figures)
 
 
 def _scaled(fit: Fit, stream: Stream) -> _Scaled:
@@ -98,12 +137,12 @@ def _scaled(fit: Fit, stream: Stream) -> _Scaled:
     )
 
 
-def _pieces(stream: Stream, order: int) -> list[Piece]:
-    """Cut every long segment in two halves, so that one can check the other."""
+def _pieces(stream: Stream, order: int, *, split: bool) -> list[Piece]:
+    """Return the segments, with `split` every long one in halves: one can check the other."""
     pieces = []
     for owner, segment in enumerate(stream.segments):
         half = segment.length // 2
-        if half < SPLIT_LENGTH * order:
+        if not split or half < SPLIT_LENGTH * order:
             pieces.append(Piece(segment.record, owner, 0, segment.length))
         else:
             pieces += [
@@ -152,21 +191,35 @@ def _choose(
         return "prediction", "only the initial states were left to find"
     if len({piece.owner for piece in pieces}) == len(pieces):
         return "simulation", "the record is too short to compare with prediction on unseen data"
-    errors = _unseen_errors(scaled, forms["simulation"], forms["prediction"], pieces)
+    halves = _halves(pieces)
+    if min(_energies(forms["simulation"], halves)) < LEAST_ENERGY:
+        return "simulation", "one half of the record hardly moves and cannot judge the other"
+    errors = _unseen_errors(scaled, forms["simulation"], forms["prediction"], halves)
     best = min(errors, key=lambda name: errors[name])
     ratio = errors[best] / max(errors.values())
     return best, f"unseen halves simulate with {100 * ratio:.1f} % of the error of the other form"
 
 
+def _halves(pieces: Sequence[Piece]) -> tuple[list[int], list[int]]:
+    """Return the first halves and the second halves of the pieces that were cut."""
+    split = {piece.owner for piece in pieces if piece.start}
+    cut = [k for k, piece in enumerate(pieces) if piece.owner in split]
+    return [k for k in cut if not pieces[k].start], [k for k in cut if pieces[k].start]
+
+
+def _energies(simulated: Equations, halves: Sequence[Sequence[int]]) -> list[float]:
+    """Return the share of the outputs' energy in each half, mean over the outputs."""
+    each = np.array([sum(simulated.energies(k) for k in half) for half in halves])
+    return [float(share.mean()) for share in each / np.maximum(each.sum(axis=0), 1e-300)]
+
+
 def _unseen_errors(
-    scaled: _Scaled, simulated: Equations, predicted: Equations, pieces: Sequence[Piece]
+    scaled: _Scaled,
+    simulated: Equations,
+    predicted: Equations,
+    halves: tuple[Sequence[int], Sequence[int]],
 ) -> dict[str, float]:
     """Fit B and D to first or second halves, simulate the others: total squared error."""
-    split = {piece.owner for piece in pieces if piece.start}
-    halves = [
-        [k for k, piece in enumerate(pieces) if piece.owner in split and bool(piece.start) == last]
-        for last in (False, True)
-    ]
     errors = {"simulation": 0.0, "prediction": 0.0}
     for seen, unseen in (halves, halves[::-1]):
         by_form = {
@@ -265,7 +318,7 @@ def _finished(
         **figures,
         "output_weights": equations.weight / y,
         "record_offsets": stream.centre[stream.n_inputs :] + y * offsets,
-        "simulation_error": _relative_rms(simulation, y / stream.output_deviation),
+        "simulation_error": _relative_rms(simulation, stream.output_balance),
     }
     model = fit.model
     return replace(

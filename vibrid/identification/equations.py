@@ -142,6 +142,10 @@ class Equations:
                 total += error.T @ error
         return total
 
+    def energies(self, piece: int) -> Floats:
+        """Return the sum of squares of each target over a piece (p,)."""
+        return np.asarray((self.triangles[piece][:, self._q :] ** 2).sum(axis=0))
+
     def _local(self, shared: Floats, piece: int) -> Floats:
         """Return what of the shared unknowns acts on a piece: its record's constants, D, B."""
         first = self.pieces[piece].record * self._c

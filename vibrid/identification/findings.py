@@ -25,14 +25,20 @@ def with_reasons(fit: Fit, stream: Stream | None, choice: Choice) -> Fit:
         figures["criterion"] = choice.scan.criterion
         figures["held_out_errors"] = choice.held_out
         figures["persistence"] = choice.scan.persistence(modes_of(fit), fit.order // 2)
+    known = fit.diagnostics.findings
+    more = [each for each in choice.decomposition.findings if each not in known]
+    return with_findings(replace(fit, diagnostics=fit.diagnostics.joined(figures, more)), stream)
+
+
+def with_findings(fit: Fit, stream: Stream | None) -> Fit:
+    """Return the fit with what its figures give reason to doubt."""
     findings = [
-        *(each for each in choice.decomposition.findings if each not in fit.diagnostics.findings),
         *_input_findings(fit),
         *_error_findings(fit),
         *_memory_findings(fit),
         *_drift_findings(fit, stream),
     ]
-    return replace(fit, diagnostics=fit.diagnostics.joined(figures, findings))
+    return replace(fit, diagnostics=fit.diagnostics.joined({}, findings))
 
 
 def _input_findings(fit: Fit) -> list[Finding]:

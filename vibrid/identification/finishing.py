@@ -10,19 +10,24 @@ import numpy as np
 
 from ..chunks import Stream
 from ..fit import Finding, Fit
+from ..linalg import one_blas_thread
 from ..modes import match_modes, mode_quality, modes_of
-from .completion import complete
+from .candidates import stretches
+from .completion import Completion, complete
+from .held_out import simulation_error
 from .stability import is_stable, settle
 
+LONGEST_COMPARED = 20_000  # samples that transitions and forms of completion are compared on
 LIGHT_DAMPING = 0.1  # modes damped more are not compared: their damping is loose anyway
 DAMPING_LIMIT = 0.2  # relative difference that is worth a word
 
 
+@one_blas_thread()
 def finish(method: Any, decomposition: Any, order: int, stream: Stream, stability: str) -> Fit:
     """Return the finished model of one order, as the stability policy wants it.
 
-    With inputs and transition "auto", regression and shift invariance are both completed
-    and the better simulation is kept: the Gram ranks them over the horizon only, and a
+    With inputs and transition "auto", regression and shift invariance are both simulated
+    and the better one is kept: the Gram ranks them over the horizon only, and a
     lightly damped structure remembers longer.
     """
     form = getattr(method, "completion", "auto")
@@ -48,20 +53,43 @@ def with_quality(fit: Fit, decomposition: Any) -> Fit:
 
 
 def finished(method: Any, decomposition: Any, order: int, stream: Stream, form: str) -> Fit | None:
-    """Return the best stable model of this order, completed, or None where none is stable."""
-    found = []
-    for option in _transitions(method, stream):
-        fit = option.realize(decomposition, order)
-        if is_stable(fit):
-            found.append(complete(fit, stream, form))
-    if not found:
+    """Return the best stable model of this order, completed, or None where none is stable.
+
+    Stretches of a long stream are enough to choose transition and form of completion.
+    """
+    fits = [option.realize(decomposition, order) for option in _transitions(method, stream)]
+    fits = [fit for fit in fits if is_stable(fit)]
+    if not fits:
         return None
-    best = min(found, key=lambda fit: fit.diagnostics.figures.get("simulation_error", np.inf))
-    doubts = _damping_doubts(found)
-    return replace(best, method=method, diagnostics=best.diagnostics.joined({}, doubts))
+    front = stretches(stream, LONGEST_COMPARED)
+    tried = [Completion(fit, front, compare=form == "auto") for fit in fits]
+    best, done = _simulating_best(tried, form)
+    if front is not stream:
+        known = done.diagnostics.figures
+        chosen = known["completion"] if form == "auto" else form
+        whole = Completion(best, stream, compare=False)
+        done = whole.complete(chosen, known.get("completion_reason", ""))
+    return replace(done, method=method, diagnostics=done.diagnostics.joined({}, _doubts(fits)))
 
 
-def _damping_doubts(found: Sequence[Fit]) -> list[Finding]:
+def _simulating_best(tried: Sequence[Completion], form: str) -> tuple[Fit, Fit]:
+    """Return the fit that simulates best once completed, before and after.
+
+    None simulates better completed than by least squares on the simulation, so those whose
+    least squares is worse than a completed fit need not be completed.
+    """
+    ranked = sorted(tried, key=lambda each: each.simulation_error) if len(tried) > 1 else tried
+    best, done = ranked[0], ranked[0].complete(form)
+    for each in ranked[1:]:
+        if each.simulation_error >= simulation_error(done):
+            break
+        other = each.complete(form)
+        if simulation_error(other) < simulation_error(done):
+            best, done = each, other
+    return best.fit, done
+
+
+def _doubts(found: Sequence[Fit]) -> list[Finding]:
     """Say where regression and shift invariance disagree on damping.
 
     Each is biased in its own way: regression where the horizon is shorter than the

@@ -11,9 +11,8 @@ import numpy as np
 from ..chunks import Segment, Stream
 from ..errors import DataError
 from ..fit import Fit
-from ..methods.preparation import check_length
 from ..scores import fit_percent, folds, start_samples
-from .completion import complete
+from .completion import Completion
 from .stability import is_stable
 
 LONGEST_HALF = 20_000  # samples of a half: more only cost time
@@ -26,37 +25,33 @@ def held_out_errors(
     method: Any,
     feedthrough: bool | Sequence[bool] | None,
     orders: Sequence[int],
-    n_rows: int,
 ) -> dict[int, float]:
     """Return the relative simulation error of each order on unseen halves; {} if too short.
 
     Each half of every segment is simulated by a model of the other half; the initial state
-    is MAP and its samples are not scored. Unstable orders are left out. `n_rows` counts the
-    block rows that the method needs.
+    is MAP and its samples are not scored. Unstable orders are left out.
 
     Returns
     -------
     dict order → error
         Mean over outputs and halves of ‖y − ŷ‖ / ‖y − ȳ‖.
     """
-    halves = _halves(stream)
+    halves = halves_of(stream)
+    skipped = start_samples(max(orders, default=0))
+    if not all(scored_segments(half, skipped) for half in halves):
+        return {}
     try:
-        for half in halves:
-            check_length(half, n_rows)
+        known = [method.decompose(half, feedthrough=feedthrough) for half in halves]
     except DataError:
         return {}
-    skipped = start_samples(max(orders, default=0))
-    if not all(_scored(half, skipped) for half in halves):
-        return {}
     errors: dict[int, list[float]] = {order: [] for order in orders}
-    for seen, unseen in (halves, halves[::-1]):
-        decomposition = method.decompose(seen, feedthrough=feedthrough)
+    for decomposition, seen, unseen in zip(known, halves, halves[::-1], strict=True):
         for order in orders:
             if order > decomposition.largest_order:
                 continue
             fit = simulated(method, decomposition, order, seen)
             if fit is not None:
-                errors[order].append(_error(fit, unseen, skipped))
+                errors[order].append(unseen_error(fit, unseen, skipped))
     means = {order: float(np.mean(each)) for order, each in errors.items() if len(each) == 2}
     return {order: mean for order, mean in means.items() if np.isfinite(mean)}
 
@@ -69,13 +64,16 @@ def simulated(method: Any, decomposition: Any, order: int, stream: Stream) -> Fi
     options = [method]
     if getattr(method, "transition", "") == "auto":
         options = [replace(method, transition=name) for name in ("regression", "shift")]
-    found = []
-    for option in options:
-        fit = option.realize(decomposition, order)
-        if is_stable(fit):
-            bare = replace(fit, kalman_gain=np.zeros_like(fit.kalman_gain))
-            found.append(complete(bare, stream, "simulation"))
-    return min(found, key=simulation_error, default=None)
+    fits = [option.realize(decomposition, order) for option in options]
+    tried = [_bare(fit, stream) for fit in fits if is_stable(fit)]
+    best = min(tried, key=lambda each: each.simulation_error, default=None)
+    return None if best is None else best.complete("simulation")
+
+
+def _bare(fit: Fit, stream: Stream) -> Completion:
+    """Return the completion of the fit without its gain."""
+    gain = np.zeros_like(fit.kalman_gain)
+    return Completion(replace(fit, kalman_gain=gain), stream, compare=False)
 
 
 def simulation_error(fit: Fit) -> float:
@@ -90,7 +88,7 @@ def smallest_enough(errors: dict[int, float]) -> int:
     return min(order for order, error in errors.items() if error <= limit)
 
 
-def _halves(stream: Stream) -> tuple[Stream, Stream]:
+def halves_of(stream: Stream) -> tuple[Stream, Stream]:
     """Return the stream of first halves and that of second halves, next to each other."""
     first, second = [], []
     for segment in stream.segments:
@@ -107,20 +105,24 @@ def _halves(stream: Stream) -> tuple[Stream, Stream]:
     )
 
 
-def _scored(unseen: Stream, skipped: int) -> list[Segment]:
+def scored_segments(unseen: Stream, skipped: int) -> list[Segment]:
     """Return the segments long enough to be scored: the same ones for every order."""
     return [segment for segment in unseen.segments if segment.length > 2 * skipped]
 
 
-def _error(fit: Fit, unseen: Stream, skipped: int) -> float:
-    """Return the relative simulation error after the samples that initial states may take."""
+def unseen_error(fit: Fit, unseen: Stream, skipped: int, *, predicts: bool = False) -> float:
+    """Return the relative error of simulation, or of prediction, on data a fit has not seen.
+
+    The samples that initial states may take, the first `skipped` of a segment, do not count.
+    """
+    run = fit.predict if predicts else fit.simulate_record
     measured, modelled = [], []
     offsets = fit.diagnostics.figures["record_offsets"]
-    for segment in _scored(unseen, skipped):
+    for segment in scored_segments(unseen, skipped):
         piece = unseen.records[segment.record].slice(segment.start, segment.stop)
         offset = offsets[segment.record]
         measured.append(np.asarray(piece.outputs[skipped:]) - offset)
-        modelled.append(fit.simulate_record(piece, output_offset=offset)[skipped:] - offset)
+        modelled.append(run(piece, output_offset=offset)[skipped:] - offset)
     each = fit_percent(np.vstack(measured), np.vstack(modelled))
     moving = np.isfinite(each)  # an output that rests in this half says nothing
     return float(1 - each[moving].mean() / 100) if moving.any() else np.inf

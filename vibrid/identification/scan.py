@@ -71,8 +71,8 @@ def scan_orders(method: Method, decomposition: Decomposition) -> OrderScan:
     )
 
 
-def steady_modes(scan: OrderScan) -> tuple[int, Modes] | None:
-    """Return the smallest stable order that holds most steady modes, and these modes.
+def steady_modes(scan: OrderScan, largest: int | None = None) -> tuple[int, Modes] | None:
+    """Return the smallest stable order up to `largest` that holds most steady modes, and these.
 
     A mode of an order is steady when at least 80 % of the orders from it on have it too:
     frequency within 2 %, MAC at least 0.9. None where there is no such mode.
@@ -81,6 +81,8 @@ def steady_modes(scan: OrderScan) -> tuple[int, Modes] | None:
     judged = len(scan.orders) - int(np.ceil(JUDGED_BY * len(scan.orders)))
     for k in range(max(1, judged)):
         modes, order = scan.modes[k], int(scan.orders[k])
+        if largest is not None and order > largest:
+            break
         seen, damping = scan.persistence(modes, order), modes.damping_ratios
         kept = np.flatnonzero(
             (seen >= STEADY_SHARE) & (damping > UNDAMPED) & (damping < LARGEST_DAMPING)

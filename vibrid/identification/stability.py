@@ -15,6 +15,7 @@ from ..record import Floats
 NEIGHBOURS = 12  # orders above and below that the error message tries
 NEAR_CIRCLE = 1e-4  # magnitudes closer to 1 are shown by their excess
 INSIDE = 1 - 1e-9  # a projected pole stays at least this far from the circle
+SIZES = {"block_rows": "block_rows", "observer_order": "observer_order", "rows": "rows and columns"}
 
 POLICIES = ("raise", "project", "ignore")
 
@@ -40,20 +41,20 @@ def settle(fit: Fit, policy: str, method: Any, decomposition: Any) -> Fit:
         raise UnstableModelError(
             f"The model of order {fit.order} is unstable: {outside}. "
             + (f"{near}; or u" if near else "U")
-            + 'se other block_rows, or stability="project" (--stability project).'
+            + f'se other {_sizes(method)}, or stability="project" (--stability project).'
         )
     if policy == "project":
         return _projected(fit, outside)
-    finding = Finding(
-        "unstable",
-        "warning",
-        f"The model is unstable: {outside}. B, D and "
-        "offsets are those of the state regression, and initial states were not estimated.",
-    )
-    return replace(
-        fit,
-        diagnostics=fit.diagnostics.joined({"completion": "regression"}, [finding]),
-    )
+    # without segments the realization is the whole model
+    kept = "; B, D, offsets and initial states were not fitted to the data" if fit.segments else ""
+    finding = Finding("unstable", "warning", f"The model is unstable: {outside}{kept}.")
+    figures = {"completion": "regression"} if fit.segments else {}
+    return replace(fit, diagnostics=fit.diagnostics.joined(figures, [finding]))
+
+
+def _sizes(method: Any) -> str:
+    """Return the options of this method that another size of the problem is asked for by."""
+    return next((words for name, words in SIZES.items() if hasattr(method, name)), "data")
 
 
 def _worst_pole(fit: Fit) -> str:

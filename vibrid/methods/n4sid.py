@@ -95,6 +95,7 @@ class N4SID:
         check_choice("completion", self.completion, COMPLETIONS)
         horizon(self.block_rows, self.past_rows)
 
+    @one_blas_thread()
     def decompose(
         self,
         data: Record | Sequence[Record] | Stream,
@@ -126,8 +127,7 @@ class N4SID:
             )
         layout = Layout(past, future, m, p, tuple(range(m + p)))
         factor = factorize(gram, stream, layout.rows)
-        with one_blas_thread():
-            gamma, state_map, values = self._states(factor.triangle, layout, stream)
+        gamma, state_map, values = self._states(factor.triangle, layout, stream)
         unit = 1.0 if self.weighting in ("cva", "ssarx") else stream.output_unit
         states = gamma, state_map, values * unit
         return assemble(self, stream, gram, layout, factor, states, feedthrough)
@@ -141,6 +141,7 @@ class N4SID:
         whiten = self.weighting != "moesp"
         return projected_states(R, layout, stream.output_balance, whiten=whiten)
 
+    @one_blas_thread()
     def realize(self, decomposition: Subspace, order: int) -> Fit:
         """Return the model of one order; no pass over the data."""
         check_order(order, decomposition.largest_order, decomposition.limit)

@@ -28,10 +28,11 @@ def prepare(
     return stream, reduce(stream, n_rows) if gram is None else gram.shorten(n_rows)
 
 
-def check_length(stream: Stream, n_rows: int, named: str = "") -> None:
+def check_length(stream: Stream, n_rows: int, named: str = "", cure: str = "") -> None:
     """Raise `DataError` when the Hankel matrix has fewer columns than rows, or too many rows.
 
-    `n_rows` counts past and future rows; `named` says how they were given, in words.
+    `n_rows` counts past and future rows; `named` says how they were given, in words, `cure` what
+    to do about too few samples.
     """
     channels = stream.n_inputs + stream.n_outputs
     named = named or _horizon_words(n_rows - n_rows // 2, n_rows // 2)
@@ -51,12 +52,12 @@ def check_length(stream: Stream, n_rows: int, named: str = "") -> None:
         else f"the longest of {len(lengths)} pieces has {max(lengths)}"
     )
     most = (max(lengths) + 1) // (2 * (channels + 1))
-    cure = f"Use at most {most} block rows or a longer record."
-    if 2 * most < SHORTEST:
+    if not cure and 2 * most < SHORTEST:
         least = SHORTEST * (channels + 1) - 1
         cure = (
             f"Record at least {least} samples in one piece, enough for 2 block rows; better more."
         )
+    cure = cure or f"Use at most {most} block rows or a longer record."
     needed = n_rows * (channels + 1) - 1
     raise DataError(f"{named} with {what} needs at least {needed} samples; {pieces}. {cure}")
 

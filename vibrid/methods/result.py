@@ -36,6 +36,11 @@ class Realization:
         """Spectral radius of A."""
         return spectral_radius(self.A)
 
+    @cached_property
+    def predictor_radius(self) -> float:
+        """Spectral radius of A − K C."""
+        return spectral_radius(self.A - self.K @ self.C)
+
 
 def as_fit(
     method: Any,

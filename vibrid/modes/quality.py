@@ -180,8 +180,13 @@ def _unfolded(system: StateSpace, controllability: Floats) -> tuple[Floats, int]
 
 
 def _blocks(modal: Complexes, width: int) -> Complexes:
-    """Return rows (n_modes, count · width) as blocks (n_modes, count, width)."""
-    return modal.reshape(len(modal), modal.shape[1] // width, width)
+    """Return rows (n_modes, count · width) as blocks (n_modes, count, width).
+
+    In units of the largest, which cancel everywhere: squares must not overflow.
+    """
+    largest = np.abs(modal).max(initial=0.0)
+    scaled = modal / largest if largest > 0 else modal
+    return np.asarray(scaled.reshape(len(modal), modal.shape[1] // width, width))
 
 
 def _extended_coherence(blocks: Complexes, values: Complexes) -> Floats:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 import numpy as np
 
 from ..mechanics import MOTIONS, mechanical_state_space
@@ -13,6 +15,7 @@ from .modal import ModalData
 from .scaling import normalized_of
 
 LINES = 300  # of the transfer functions compared
+NO_DAMPING = 1e-9  # of M and the fastest pole: R below it is rounding
 
 
 def orthogonality(W: Complexes) -> float:
@@ -26,19 +29,27 @@ def symmetry_checks(shapes: Complexes, poles: Complexes, mass: Floats | None) ->
     if mass is None or not np.isfinite(mass).all() or shapes.shape[1] != 2 * len(shapes):
         return {}
     damping, stiffness = normalized_of(shapes, poles)
+    least = smallest_damping(mass, poles)
     return {
         "asymmetry_stiffness": asymmetry(mass @ stiffness),
-        "asymmetry_damping": asymmetry(mass @ damping),
+        "asymmetry_damping": asymmetry(mass @ damping, least),
     }
 
 
-def definiteness(**matrices: Floats) -> dict[str, float]:
-    """Return smallest over largest |eigenvalue| of each matrix."""
+def smallest_damping(mass: Floats, poles: Complexes) -> float:
+    """Return the size of R that is rounding, of a structure without damping."""
+    return float(NO_DAMPING * np.linalg.norm(mass) * np.abs(poles).max())
+
+
+def definiteness(matrices: Mapping[str, Floats], least: float) -> dict[str, float]:
+    """Return smallest over largest |eigenvalue| of each matrix; 0 of R up to `least`."""
     checks = {}
     for name, matrix in matrices.items():
         if np.isfinite(matrix).all():
             values = np.linalg.eigvalsh(0.5 * (matrix + matrix.T))
-            checks[f"smallest_{name}"] = float(values[0] / np.abs(values).max())
+            size = float(np.abs(values).max())
+            none = name == "damping" and size <= least
+            checks[f"smallest_{name}"] = 0.0 if none else float(values[0] / max(size, 1e-300))
     return checks
 
 

@@ -25,11 +25,11 @@ class Delays:
     phase_collinearity, corrected_collinearity : arrays (n_modes,)
         MPC of the shapes as they are and with the delays set right.
     common : float
-        Lag of all sensors behind the base acceleration [s]; NaN without one. It changes
-        neither poles nor shapes.
+        Lag of all sensors behind the forces, or the base acceleration [s]; NaN without
+        inputs. It changes neither poles nor shapes, but the scale that forces give.
     imaginary, corrected_imaginary : float
-        Imaginary share of the response to the base in all modes, before and after the
-        common lag is set right; NaN without a base.
+        Imaginary share of the response to the inputs in all modes, before and after the
+        common lag is set right; NaN without inputs.
     """
 
     names: tuple[str, ...]
@@ -45,7 +45,7 @@ def sensor_delays(
     shapes: Complexes,
     poles: Complexes,
     channels: Sequence[Channel],
-    bases: Complexes | None = None,
+    drives: Complexes | None = None,
 ) -> Delays:
     """Estimate the delays that make all shapes as real as they can be.
 
@@ -59,8 +59,8 @@ def sensor_delays(
         Displacement shapes, one of each pair.
     poles : complex array (n_modes,)
     channels : sequence of Channel
-    bases : complex array (n_modes,), optional
-        Participation of a base acceleration.
+    drives : complex array (n_modes, n_inputs), optional
+        Participations of forces or of a base acceleration.
 
     Notes
     -----
@@ -71,8 +71,8 @@ def sensor_delays(
     seconds = _estimate(shapes, poles)
     right = _moved(shapes, poles, seconds)
     common = imaginary = after = float("nan")
-    if bases is not None and len(bases):
-        common, imaginary, after = _common_delay(right, poles, bases)
+    if drives is not None and drives.size:
+        common, imaginary, after = _common_delay(right, poles, drives)
     return Delays(names, seconds, mpc(shapes), mpc(right), common, imaginary, after)
 
 
@@ -109,17 +109,17 @@ def _estimate(shapes: Complexes, poles: Complexes) -> Floats:
 
 
 def _common_delay(
-    shapes: Complexes, poles: Complexes, bases: Complexes
+    shapes: Complexes, poles: Complexes, drives: Complexes
 ) -> tuple[float, float, float]:
-    """Return the lag behind the base and the imaginary shares before and after."""
+    """Return the lag behind the inputs and the imaginary shares before and after."""
     from scipy.optimize import least_squares
 
-    responses = shapes * (bases * 2j * poles.imag)
+    responses = shapes[:, :, None] * (drives * 2j * poles.imag[:, None])
     total = np.linalg.norm(responses)
     unit = 1 / np.abs(poles).max()
 
     def misfit(x: Floats) -> Floats:
-        right = responses * np.exp(unit * x[0] * poles)
+        right = responses * np.exp(unit * x[0] * poles)[:, None]
         return np.asarray(right.imag.ravel() / total)
 
     found = least_squares(misfit, np.zeros(1), xtol=1e-12, ftol=1e-12, gtol=1e-14)

@@ -16,6 +16,7 @@ from ..statespace import StateSpace
 from .units import si_factors
 
 POWERS = {quantity: power for power, quantity in enumerate(MOTIONS)}  # of λ, by sensor
+SHOWN = 3  # sentences on channels in a message
 Labels = Sequence[Channel | str] | None
 
 
@@ -96,7 +97,7 @@ def layout_of(outputs: Sequence[Channel], inputs: Sequence[Channel]) -> Layout:
     reasons = tuple(sentence for sentence in ignored if sentence)
     if not seen:
         raise OptionError(
-            f"Physical coordinates need sensors with a quantity and a DOF; {'; '.join(reasons)}. "
+            f"Physical coordinates need sensors with a quantity and a DOF; {_some(reasons)}. "
             "Give outputs=[Channel(name, 'acceleration', dof='f1'), …]."
         )
     forces = [k for k in driven if inputs[k].quantity == "force"]
@@ -170,6 +171,7 @@ def _chosen(
 ) -> tuple[list[int], tuple[Channel, ...]]:
     if labels is None:
         return list(range(count)), own
+    labels = [labels] if isinstance(labels, str) else labels
     if not len(labels):
         return [], ()
     if all(isinstance(each, Channel) for each in labels):
@@ -183,9 +185,17 @@ def _chosen(
     names = [each if isinstance(each, str) else each.name for each in labels]
     known = [channel.name for channel in own]
     check_names("channel", names, known)
+    twice = [name for name in dict.fromkeys(names) if names.count(name) > 1]
+    if twice:
+        raise OptionError(f"{what} names {twice[0]!r} twice; name each channel once.")
     rows = [known.index(name) for name in names]
     given = {each.name: each for each in labels if isinstance(each, Channel)}
     return rows, tuple(given.get(name, own[row]) for name, row in zip(names, rows, strict=True))
+
+
+def _some(sentences: Sequence[str]) -> str:
+    more = f"; and {len(sentences) - SHOWN} more" if len(sentences) > SHOWN else ""
+    return "; ".join(sentences[:SHOWN]) + more
 
 
 def _useless(channel: Channel, side: str, quantities: Sequence[str]) -> str:

@@ -47,7 +47,13 @@ def given_mass(mass: ArrayLike, n_dof: int) -> Floats:
     OptionError
         Wrong shape, values that are not positive (definite).
     """
-    array = np.asarray(mass, dtype=np.float64)
+    try:
+        array = np.asarray(mass, dtype=np.float64)
+    except (TypeError, ValueError):
+        raise OptionError(
+            f"mass must be the total, {n_dof} masses or a {n_dof} × {n_dof} matrix of numbers "
+            f"[kg], in the order of the DOFs; got {mass!r}."
+        ) from None
     if array.shape not in ((), (n_dof,), (n_dof, n_dof)):
         raise OptionError(
             f"mass must be the total, {n_dof} masses or a {n_dof} × {n_dof} matrix; got shape "
@@ -64,10 +70,9 @@ def given_mass(mass: ArrayLike, n_dof: int) -> Floats:
     return matrix
 
 
-def asymmetry(matrix: Floats) -> float:
-    """Return ‖X − Xᵀ‖_F / ‖X‖_F."""
-    size = np.linalg.norm(matrix)
-    return float(np.linalg.norm(matrix - matrix.T) / size) if size else 0.0
+def asymmetry(matrix: Floats, least: float = 1e-300) -> float:
+    """Return ‖X − Xᵀ‖_F / ‖X‖_F, the size of X taken as `least` at least."""
+    return float(np.linalg.norm(matrix - matrix.T) / max(float(np.linalg.norm(matrix)), least))
 
 
 def symmetric(matrix: Floats) -> Floats:

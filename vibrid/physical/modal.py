@@ -308,12 +308,17 @@ def _refuse_rigid(data: ModalData) -> None:
 
 
 def _named(data: ModalData, frequencies_hz: Sequence[float]) -> list[int]:
+    values = np.asarray(frequencies_hz)
+    if values.ndim != 1 or not values.size or values.dtype.kind not in "iuf":
+        raise OptionError(
+            f"frequencies_hz must be a list of frequencies [Hz]; got {frequencies_hz!r}."
+        )
     chosen: list[int] = []
     pairs = data.pairs
     own = np.abs(data.poles[pairs]) / (2 * np.pi)
-    for hertz in frequencies_hz:
+    for hertz in values:
         gap = np.abs(own - hertz)
-        if not len(own) or gap.min() > MATCH * abs(hertz):
+        if not len(own) or not gap.min() <= MATCH * abs(hertz):
             shown = ", ".join(f"{each:.4g}" for each in own)
             raise OptionError(f"The model has no mode at {hertz:g} Hz; it has {shown} Hz.")
         nearest = int(pairs[int(np.argmin(gap))])

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -14,6 +14,8 @@ from ..modes import Complexes
 from ..record import Channel, Floats
 from ..statespace import HOLDS, StateSpace
 from .delays import Delays, given_delays, sensor_delays
+from .deviations import deviations_of, normalized_steps
+from .findings import Evidence
 from .layout import Labels, Layout, labelled, layout_of
 from .masses import given_mass, mass_ratios, symmetric
 from .modal import ModalData, Selection, modal_data, select_poles
@@ -28,7 +30,7 @@ from .scaling import (
     per_mass,
     scaled_shapes,
 )
-from .verdict import Evidence, Verdict, verdict_of
+from .verdict import Verdict, verdict_of
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,7 +48,10 @@ class MechanicalModel:
         M⁻¹R [1/s], M⁻¹K [1/s²].
     dofs : tuple of str
     mass_std, damping_std, stiffness_std : arrays
-        Standard deviations; NaN where not estimated.
+        Standard deviations, a given mass taken as exact; NaN where not estimated. They are
+        estimated of refined fits without a force scale.
+    normalized_damping_std, normalized_stiffness_std : arrays
+        The same of M⁻¹R and M⁻¹K, from those of the modes taken as independent: within 30 %.
     poles : complex array (n_modes,)
         One of each pair, and overdamped real poles, [rad/s].
     shapes : complex array (n_dof, n_modes)
@@ -83,6 +88,8 @@ class MechanicalModel:
     projection: Projection | None
     units: str
     verdict: Verdict
+    normalized_damping_std: Floats
+    normalized_stiffness_std: Floats
 
     def __repr__(self) -> str:
         return f"<MechanicalModel: {len(self.dofs)} DOFs, {self.verdict}>"
@@ -184,9 +191,11 @@ def mechanical_model(
     )
     known = None if mass is None else given_mass(mass, layout.n_dof)
     topology = None if structure is None else Topology.of(structure)
-    made = _with_scale if len(layout.pairs) else _without_scale
-    evidence = Evidence(layout, selection, estimated, bool(seconds.any()), known)
-    return made(evidence, topology)
+    evidence = Evidence(layout, selection, estimated, seconds, isinstance(delays, Mapping), known)
+    if evidence.scaled:
+        return _with_scale(evidence, topology)
+    found = _without_scale(evidence, topology)
+    return found if topology is not None else _with_deviations(found, fit_or_model, evidence)
 
 
 def _holds(hold: str | None, channels: Sequence[Channel]) -> list[str]:
@@ -219,15 +228,20 @@ def _delays(
     pairs, none = data.pairs, np.zeros(len(layout.outputs))
     estimated = None
     if len(pairs) > 1 and len(none) > 1:
-        bases = data.bases[pairs, 0] if data.bases.shape[1] == 1 else None
+        drives = data.forces if data.forces.size else data.bases
         estimated = sensor_delays(
-            data.shapes[:, pairs], data.poles[pairs], layout.output_channels, bases
+            data.shapes[:, pairs], data.poles[pairs], layout.output_channels, drives[pairs]
         )
     if isinstance(wanted, Mapping):
         return estimated, given_delays(wanted, layout.output_channels)
-    if wanted and estimated is None:
+    if not isinstance(wanted, bool):
+        raise OptionError(f"delays must be True, False or {{name: seconds}}; got {wanted!r}.")
+    if not wanted:
+        return estimated, none
+    if estimated is None:
         raise OptionError("Sensor delays need at least two sensors and two modes to be estimated.")
-    return estimated, estimated.seconds if wanted and estimated is not None else none
+    common = estimated.common if len(layout.pairs) else 0.0  # without a scale nothing feels it
+    return estimated, estimated.seconds + common
 
 
 def _with_scale(evidence: Evidence, topology: Topology | None) -> MechanicalModel:
@@ -237,7 +251,7 @@ def _with_scale(evidence: Evidence, topology: Topology | None) -> MechanicalMode
     projection = None
     if topology is not None or evidence.mass is not None:
         shape = topology or Topology(mass="symmetric")
-        projection = project(W, data.poles, shape, scaled=True, mass=evidence.mass)
+        projection = project(W, data.poles, shape, layout.dofs, scaled=True, mass=evidence.mass)
     M, R, K = raw if projection is None else _matrices(projection)
     complete = W.shape[1] == 2 * layout.n_dof or projection is not None
     normalized = per_mass(M, R, K) if complete else normalized_of(W, data.poles)
@@ -268,10 +282,36 @@ def _without_scale(evidence: Evidence, topology: Topology | None) -> MechanicalM
         matrices = M, symmetric(raw[1]), symmetric(raw[2])
     projection = None
     if topology is not None:
-        projection = project(shapes, data.poles, topology, scaled=False, mass=evidence.mass)
+        projection = project(
+            shapes, data.poles, topology, layout.dofs, scaled=False, mass=evidence.mass
+        )
         M, R, K = matrices = _matrices(projection)
         normalized = per_mass(M, R, K)
     return _finished(evidence, shapes, matrices, normalized, unknown, projection, raw)
+
+
+def _with_deviations(
+    found: MechanicalModel, model: Fit | StateSpace, evidence: Evidence
+) -> MechanicalModel:
+    """Return the model with standard deviations, where the fit knows those of its modes."""
+    poles = evidence.selection.data.poles
+    both = np.repeat(found.shapes, 2, axis=1)
+    both[:, 1::2] = both[:, 1::2].conj()
+    steps = normalized_steps(model, evidence.layout, both, poles)
+    if steps is None:
+        return found
+    if np.isfinite(found.mass).all():
+        found = replace(
+            found,
+            mass_std=np.zeros_like(found.mass),
+            damping_std=deviations_of(steps[0], found.mass),
+            stiffness_std=deviations_of(steps[1], found.mass),
+        )
+    return replace(
+        found,
+        normalized_damping_std=deviations_of(steps[0]),
+        normalized_stiffness_std=deviations_of(steps[1]),
+    )
 
 
 def _mass_matrix(
@@ -324,4 +364,6 @@ def _finished(
         projection,
         layout.units,
         verdict,
+        unknown,
+        unknown,
     )

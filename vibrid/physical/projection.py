@@ -21,6 +21,8 @@ SHORTHANDS = {
     "chain": ("diagonal", "chain", "chain"),
 }
 DETERMINED = 1e-9  # smallest singular value of the equilibrated equations, relative
+TOUCHED = 1e-6  # share of an entry in what the data leave open, beyond which it is
+MOST_NAMED = 8  # entries in a message
 INDEFINITE = 1e-12  # negative eigenvalue that is rounding, relative to the largest
 POLES_COUNT = 30.0  # times what shapes and scale count: poles are known that much better. Of
 # noisy 3-mass records (5 %), 10 to 1000 do alike; 1 makes R two to four times worse.
@@ -85,6 +87,7 @@ def project(
     vectors: Complexes,
     poles: Complexes,
     topology: Topology,
+    dofs: Sequence[str],
     *,
     scaled: bool,
     mass: Floats | None = None,
@@ -98,6 +101,8 @@ def project(
     poles : complex array (n_poles,)
         Both of each pair, side by side.
     topology : Topology
+    dofs : sequence of str
+        To name entries that are not determined.
     scaled : bool
         Whether the scale of the shapes is known.
     mass : array () or (n_dof, n_dof), optional
@@ -121,6 +126,10 @@ def project(
     """
     n = len(vectors)
     spaces = [_space(x, n) for x in (topology.mass, topology.damping, topology.stiffness)]
+    if not np.diagonal(spaces[0].sum(axis=0)).all():
+        raise OptionError(
+            "The pattern of M must allow all of its diagonal: no DOF is without mass."
+        )
     _check_mass(mass, scaled)
     weights = _weights(topology.weights, len(poles))
     equations = _scaled_equations if scaled else _free_equations
@@ -128,8 +137,7 @@ def project(
     if mass is not None and mass.ndim == 2:
         spaces, slope, wanted = _with_known_mass(spaces, slope, wanted, mass)
     start, free = _constraint(spaces, mass)
-    reduced = _Problem(slope @ free, wanted - slope @ start)
-    p = start + free @ reduced.solution()
+    p = start + _solved(slope, wanted - slope @ start, free, _labels(spaces, dofs))
     bound = topology.definite and not all(_is_definite(x) for x in _matrices(p, spaces))
     if bound:
         p = _definite(slope, wanted, start, free, p, spaces)
@@ -263,24 +271,45 @@ def _matrices(p: Floats, spaces: list[Space]) -> list[Floats]:
     ]
 
 
-class _Problem:
-    """Least squares with equilibrated columns, refusing what is not determined."""
+def _labels(spaces: list[Space], dofs: Sequence[str]) -> list[str]:
+    """Return a name such as K[f1, f2] for each parameter."""
+    names = []
+    for symbol, space in zip("MRK", spaces, strict=True):
+        for unit in space:
+            i, j = np.argwhere(unit)[0]
+            names.append(f"{symbol}[{dofs[i]}, {dofs[j]}]")
+    return names
 
-    def __init__(self, slope: Floats, wanted: Floats) -> None:
-        self.size = np.linalg.norm(slope, axis=0)
-        if (self.size == 0).any():
-            raise DataError("The modal data do not touch some entries of this structure.")
-        self.slope, self.wanted = slope / self.size, wanted
 
-    def solution(self) -> Floats:
-        left, values, right = np.linalg.svd(self.slope, full_matrices=False)
-        if len(values) < self.slope.shape[1] or values[-1] < DETERMINED * values[0]:
-            rank = int(np.count_nonzero(values > DETERMINED * values[0]))
-            raise DataError(
-                f"The modal data determine {rank} of the {self.slope.shape[1]} entries of M, R "
-                "and K of this structure; give more modes, a sparser structure or the mass."
-            )
-        return np.asarray((right.T @ ((left.T @ self.wanted) / values)) / self.size)
+def _solved(slope: Floats, wanted: Floats, free: Floats, labels: list[str]) -> Floats:
+    """Return free @ q of the least squares in q with equilibrated columns.
+
+    Raises
+    ------
+    DataError
+        Some entries are not determined; they are named.
+    """
+    reduced = slope @ free
+    size = np.linalg.norm(reduced, axis=0)
+    size[size == 0] = 1.0
+    left, values, right = np.linalg.svd(reduced / size)
+    rank = int(np.count_nonzero(values > DETERMINED * values[0]))
+    if rank < len(size):
+        moved = np.abs(free @ (right[rank:] / size).T)
+        reach = moved / np.abs(free / size).max(axis=1)[:, None]
+        open_ones = [labels[k] for k in np.flatnonzero(reach.max(axis=1) > TOUCHED)]
+        raise DataError(
+            f"The modal data determine {rank} of the {len(size)} entries of M, R and K of this "
+            f"structure, not {_listed(open_ones)}; give more modes, a sparser structure or the "
+            "mass."
+        )
+    found = right[:rank].T @ ((left[:, :rank].T @ wanted) / values[:rank])
+    return np.asarray(free @ (found / size))
+
+
+def _listed(names: list[str]) -> str:
+    more = f" and {len(names) - MOST_NAMED} more" if len(names) > MOST_NAMED else ""
+    return ", ".join(names[:MOST_NAMED]) + more
 
 
 def _is_definite(matrix: Floats) -> bool:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
@@ -61,6 +61,13 @@ def _factor(channel: Channel) -> float:
         unit = f"the unit {channel.unit!r}" if channel.unit else "no unit"
         raise OptionError(
             f"Channel {channel.name!r} ({channel.quantity}) has {unit}, and others have units: "
-            f"masses cannot be told. Give it one of {', '.join(known)}, or no channel a unit."
+            f"masses cannot be told. Give it one of {_shown(known)}, or no channel a unit."
         )
     return known[channel.unit]
+
+
+def _shown(known: Mapping[str, float]) -> str:
+    """Return the units without the other ways to write them."""
+    return ", ".join(
+        unit for unit in known if unit.isascii() and "^" not in unit and "*" not in unit
+    )

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from ..errors import DataError
 
 Floats = NDArray[np.float64]
-CHUNK_BYTES = 32 * 2**20
+CHUNK_BYTES = 4 * 2**20
 
 
 class Signal(Protocol):
@@ -99,7 +99,7 @@ def take(signal: Signal, start: int, stop: int, columns: tuple[int, ...] | None 
 
 
 def rows_per_chunk(n_columns: int) -> int:
-    """Return how many float64 rows of `n_columns` make a chunk of about 32 MiB."""
+    """Return how many float64 rows of `n_columns` make a chunk of about 4 MiB."""
     return max(1024, CHUNK_BYTES // (8 * max(1, n_columns)))
 
 

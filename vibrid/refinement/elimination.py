@@ -13,8 +13,8 @@ from ..chunks import Stream
 from ..errors import OptionError
 from ..fit import Fit
 from ..record import Floats
-from ..varpro import Blocks, removals
-from .output_error import DEFAULT, Search, refine_output_error, start_of
+from ..varpro import Blocks, Progress, removals
+from .output_error import DEFAULT, Search, refine_output_error, searched, start_of
 from .place import Place, errors_of, starts_of
 from .result import fit_of
 
@@ -52,6 +52,10 @@ class Elimination:
 
     def at(self, order: int) -> Fit:
         """Return the model of the largest order passed up to `order`; no pass over the data."""
+        figures = {"elimination_orders": self.orders, "elimination_costs": self.costs}
+        return fit_of(self.fit, self._place(order), figures)
+
+    def _place(self, order: int) -> Place:
         which = np.flatnonzero(self.orders <= order)
         if not len(which):
             raise OptionError(
@@ -60,13 +64,24 @@ class Elimination:
             )
         projected = self.place.projected
         sums = projected.sums.select(self.steps[which[0]][0])
-        place = replace(self.place, projected=replace(projected, sums=sums))
-        figures = {"elimination_orders": self.orders, "elimination_costs": self.costs}
-        return fit_of(self.fit, place, figures)
+        return replace(self.place, projected=replace(projected, sums=sums))
 
-    def refined(self, order: int) -> Fit:
-        """Return the model of that order after output-error refinement."""
-        return refine_output_error(self.at(order), self.place.stream, self.search)
+    def refined(self, order: int, steps: int | None = None) -> Fit:
+        """Return the model of that order after output-error refinement.
+
+        Parameters
+        ----------
+        order : int
+        steps : int, optional
+            Of the search at most; then without deviations and findings. 0 is `at`.
+        """
+        if steps is None:
+            return refine_output_error(self.at(order), self.place.stream, self.search)
+        place = self._place(order)
+        if steps:
+            search = replace(self.search, largest=steps)
+            place = searched(place.again(), search).point
+        return fit_of(self.fit, place, {})
 
 
 def eliminate(fit: Fit, stream: Stream, search: Search = DEFAULT) -> Elimination:
@@ -91,7 +106,10 @@ def eliminate(fit: Fit, stream: Stream, search: Search = DEFAULT) -> Elimination
 
 
 def held_out_curve(
-    folds: Sequence[tuple[Elimination, Callable[[Fit], float]]], orders: Sequence[int]
+    folds: Sequence[tuple[Elimination, Callable[[Fit], float]]],
+    orders: Sequence[int],
+    steps: int | None = None,
+    progress: Progress | None = None,
 ) -> dict[int, float]:
     """Return the mean error of each order's refined model on data it has not seen.
 
@@ -100,11 +118,16 @@ def held_out_curve(
     folds : sequence of (elimination on the seen data, error of a model on the unseen data)
     orders : sequence of int
         Those that some elimination does not reach are left out.
+    steps : int, optional
+        Of each search at most: a few are enough to rank orders.
+    progress : callable (what, done, total), optional
     """
     means = {}
-    for order in orders:
+    for done, order in enumerate(orders):
+        if progress is not None:
+            progress("held out", done, len(orders))
         if all(order >= elimination.orders[-1] for elimination, _ in folds):
-            errors = [error(elimination.refined(order)) for elimination, error in folds]
+            errors = [error(elimination.refined(order, steps)) for elimination, error in folds]
             means[order] = float(np.mean(errors))
     return means
 

@@ -83,7 +83,7 @@ def refine_output_error(
     starts = starts_of(fit, stream)
     before = errors_of(fit, stream, starts)
     first = start_of(fit, stream, search, starts, before)
-    found = _weighed(fit, _searched(first, search, progress), search, progress)
+    found = _weighed(fit, searched(first, search, progress), search, progress)
     allowed = before is not None and _same_poles(fit, first)
     start = _measure(before.variance if before and allowed else first.variance, found.point)
     reached = _measure(found.point.variance, found.point)
@@ -145,7 +145,8 @@ def noise_of(variance: Floats, stream: Stream) -> Floats:
     return np.maximum(variance, SMALLEST_NOISE * output_variance(stream))
 
 
-def _searched(start: Place, search: Search, progress: Progress | None) -> Descent[Place]:
+def searched(start: Place, search: Search, progress: Progress | None = None) -> Descent[Place]:
+    """Return where damped Gauss-Newton steps from a place end, with the weights it has."""
     tolerance = LIKELIHOOD_STEP / (start.stream.n_samples * start.stream.n_outputs)
     squares = start.stream.n_samples * output_variance(start.stream)
     rounding = ROUNDING * float(squares @ start.projected.weights)
@@ -178,7 +179,7 @@ def _weighed(
             break
         noise = True
         variance = noise_of(found.point.variance, found.point.stream)
-        found = _searched(found.point.weighted(1 / variance), search, progress)
+        found = searched(found.point.weighted(1 / variance), search, progress)
         taken, rounds = taken + found.iterations, rounds + 1
     return replace(found, iterations=taken)
 

@@ -17,6 +17,8 @@ from ..scores import initial_state, start_samples
 from ..statespace import Lifting
 from ..varpro import Blocks, Linear, Projected, SignalSums, Sums
 
+WILD = 1e4  # of the outputs' squares: errors of a guess beyond it would cost more than they save
+
 
 @dataclass(frozen=True, eq=False)
 class Place:
@@ -98,7 +100,7 @@ def sums_of(
     predicts : bool
         Whether the outputs drive the states as well as the inputs.
     """
-    m, p = stream.n_inputs, stream.n_outputs
+    m, p, guess = stream.n_inputs, stream.n_outputs, linear
     if linear is None:
         constants = len(stream.records) * (stream.offset == "estimate")
         states, direct = np.zeros((blocks.n_blocks, 2, p)), np.zeros((len(blocks.inputs), p))
@@ -110,7 +112,11 @@ def sums_of(
             sums.begin(owner, segment.record)
             for _, samples in stream.chunks(segment, rows):
                 sums.add(np.hstack([samples, samples[:, m:]]) if predicts else samples)
-    return sums.total()
+    total = sums.total()
+    largest = WILD * stream.n_samples / stream.output_balance**2
+    if guess is not None and not (np.diag(total.gram)[-p:] < largest).all():
+        return sums_of(stream, blocks, None, predicts=predicts)
+    return total
 
 
 def starts_of(fit: Fit, stream: Stream, *, predicts: bool = False) -> Floats:

@@ -65,7 +65,7 @@ def describe_physical(model: MechanicalModel, law: Rayleigh | None = None) -> Gr
 
 def physical_as_json(model: MechanicalModel, law: Rayleigh | None = None) -> dict[str, Any]:
     """Return all that `describe_physical` prints, and the shapes."""
-    names = (*SYMBOLS, "mass_std", "damping_std", "stiffness_std", "flexibility", "mass_ratios")
+    names = (*SYMBOLS, *(f"{name}_std" for name in SYMBOLS), "flexibility", "mass_ratios")
     facts = {
         "dofs": model.dofs,
         "units": model.units,
@@ -110,6 +110,9 @@ def _matrices(model: MechanicalModel) -> Iterator[RenderableType]:
             yield line(f"{len(matrix)} × {len(matrix)}; --json gives all of it")
         else:
             yield indented(_matrix(matrix, model.dofs))
+        deviations = getattr(model, f"{name}_std")
+        if np.isfinite(deviations).all() and deviations.any():
+            yield line(f"standard deviations up to {number(deviations.max(), '.2g')}")
     if np.isfinite(model.mass_ratios).all() and len(model.dofs) > 1:
         ratios = ", ".join(number(each, ".3g") for each in model.mass_ratios)
         yield line(f"mass ratios that make K most symmetric: {ratios}")

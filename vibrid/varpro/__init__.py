@@ -1,6 +1,7 @@
 """Separable least squares: a model's poles are searched, everything linear is eliminated."""
 
 from .blocks import LARGEST_POLE, Blocks, split_poles
+from .decays import Decays, decays
 from .deviations import (
     derived_covariance,
     frequency_and_damping,
@@ -20,6 +21,7 @@ __all__ = [
     "SMALLEST_NOISE",
     "BlockFilter",
     "Blocks",
+    "Decays",
     "Descent",
     "Likely",
     "Linear",
@@ -27,6 +29,7 @@ __all__ = [
     "Projected",
     "SignalSums",
     "Sums",
+    "decays",
     "derived_covariance",
     "descend",
     "frequency_and_damping",

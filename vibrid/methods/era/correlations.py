@@ -11,7 +11,7 @@ import scipy.linalg as sla
 from numpy.typing import NDArray
 
 from ...chunks import Stream
-from ...errors import check_names
+from ...errors import OptionError, check_names
 from ...fit import Diagnostics, Finding, Fit, feedthrough_mask
 from ...gram import BlockGram, reduce
 from ...kalman import STABLE_TO, innovation_form
@@ -89,13 +89,17 @@ class CorrelationModels(Evidence):
 
     def realize(self, order: int) -> Realization:
         """Return the model of this order in the stream's scaled units."""
+        return self._with_raise(order)[0]
+
+    def _with_raise(self, order: int) -> tuple[Realization, float]:
+        """Return the model, and the white noise that its gain needed."""
         if order not in self._made:
             with one_blas_thread():
-                self._made[order] = self._realized(order)[0]
+                self._made[order] = self._realized(order)
         return self._made[order]
 
     @cached_property
-    def _made(self) -> dict[int, Realization]:
+    def _made(self) -> dict[int, tuple[Realization, float]]:
         # scanning orders and then realizing one asks for the same models again
         return {}
 
@@ -127,14 +131,14 @@ class CorrelationModels(Evidence):
 
     def fit(self, order: int, method: Any) -> Fit:
         """Return the model of one order with its Kalman gain."""
-        found, raised = self._realized(order)
+        found, raised = self._with_raise(order)
         figures = {
             **self.figures(order, found.A),
             "responses": "correlations",
             "gain": found.gain,
             "white_noise_added": raised,
         }
-        findings = [*self.findings, *gain_findings(found), *_raised_findings(raised)]
+        findings = [*self.remarks, *gain_findings(found), *_raised_findings(raised)]
         return as_fit(
             method,
             self.stream,
@@ -168,8 +172,7 @@ def from_correlations(
     rows = method.rows or _chosen_rows(stream, method)
     columns = method.columns or rows
     highest = method.highest_lag(rows, columns)
-    named = f"rows={rows} and columns={columns}"
-    check_length(stream, highest + 1, named)
+    _check_length(stream, method, rows, columns)
     gram = reduce(stream, highest + 1) if gram is None else gram.shorten(highest + 1)
     # the transpose of a lagged sum is Λ(l) = E y(t+l) y(t)ᵀ
     covariances = gram.covariances().transpose(0, 2, 1) / gram.projected_columns
@@ -187,9 +190,27 @@ def from_correlations(
         stream=stream,
         gram=gram,
         reasons=(reason, *chosen),
-        findings=(),
+        remarks=(),
         covariances=covariances,
         references=references,
+    )
+
+
+def _check_length(stream: Stream, method: Any, rows: int, columns: int) -> None:
+    """Refuse more lags than the samples bear, in words of the Hankel matrix."""
+    p, extra = stream.n_outputs, method.reach
+    longest = max(segment.length for segment in stream.segments)
+    most = (longest + 1) // (p + 1) - 1 - extra
+    shifts = f" with {extra} lags of shifts" if extra else ""
+    cure = f"Use rows and columns of at most {most} together, or a longer record."
+    if most < 2:
+        least = (3 + extra) * (p + 1) - 1
+        cure = f"Record at least {least} samples in one piece; better more."
+    check_length(
+        stream,
+        method.highest_lag(rows, columns) + 1,
+        f"rows={rows} and columns={columns}{shifts}",
+        cure,
     )
 
 
@@ -198,6 +219,9 @@ def _references(method: Any, record: Record) -> NDArray[np.int64]:
     if method.references is None:
         return np.arange(len(names))
     check_names("output", method.references, names)
+    if not method.references or len(set(method.references)) < len(method.references):
+        listed = ", ".join(method.references)
+        raise OptionError(f"Name each reference once, at least one; got {listed!r}.")
     return np.array([names.index(name) for name in method.references])
 
 

@@ -29,6 +29,8 @@ def decomposed(
     method: Any, data: Data, offset: str, feedthrough: Mask, gram: BlockGram | None
 ) -> Evidence:
     """Return the decomposition of whatever the data are."""
+    if isinstance(data, ImpulseResponses | FrequencyResponses):
+        _check_no_record_options(method, type(data).__name__)
     if isinstance(data, ImpulseResponses):
         return from_impulse_responses(method, data, feedthrough)
     if isinstance(data, FrequencyResponses):
@@ -46,7 +48,20 @@ def decomposed(
         return from_correlations(method, stream, feedthrough, gram, "correlations as asked for")
     if kind == "decay":
         return from_decays(method, stream, feedthrough, gram, "a decay as asked for")
+    if method.references is not None:
+        reason = "correlations of ambient vibration, because references are named"
+        return from_correlations(method, stream, feedthrough, gram, reason)
     return _judged(method, stream, feedthrough, gram)
+
+
+def _check_no_record_options(method: Any, data: str) -> None:
+    """Refuse options that say how to take a record."""
+    for name, unset in (("responses", "auto"), ("references", None)):
+        if getattr(method, name) != unset:
+            raise OptionError(
+                f"{name}={getattr(method, name)!r} says how to take a record; {data} are taken "
+                f"as they are. Leave {name} out."
+            )
 
 
 def _judged(method: Any, stream: Stream, feedthrough: Mask, gram: BlockGram | None) -> Evidence:
@@ -65,11 +80,18 @@ def _judged(method: Any, stream: Stream, feedthrough: Mask, gram: BlockGram | No
         found = None  # too short to tell: correlations say what they need
     if found is not None and found.rank_limited:
         return found
+    other = force.format("decay", "a free decay")
     reason = (
         f"correlations of ambient vibration, because {words} (a decay has less than "
-        f"{100 * DECAYED:g} %); {force.format('decay', 'a free decay')}"
+        f"{100 * DECAYED:g} %); {other}"
     )
-    return from_correlations(method, stream, feedthrough, gram, reason)
+    try:
+        return from_correlations(method, stream, feedthrough, gram, reason)
+    except DataError as error:
+        raise DataError(
+            f"{error} The record was taken for ambient vibration, because {words}; {other} "
+            "(--responses decay)."
+        ) from error
 
 
 def _forced(method: Any, stream: Stream, feedthrough: Mask, gram: BlockGram | None) -> Evidence:
@@ -80,8 +102,19 @@ def _forced(method: Any, stream: Stream, feedthrough: Mask, gram: BlockGram | No
             f"{stream.n_inputs} inputs. Leave them out (select(inputs=[]), or --inputs '' with "
             '--outputs), or use responses="fir".'
         )
+    if method.references is not None:
+        raise OptionError(
+            f"references={method.references} belong to correlations of outputs alone; the record "
+            f"has {stream.n_inputs} inputs. Leave either out."
+        )
     n_lags = _fir_lags(method, stream)
-    responses = fir(stream, n_lags, feedthrough=feedthrough)
+    try:
+        responses = fir(stream, n_lags, feedthrough=feedthrough)
+    except (DataError, OptionError) as error:
+        if method.rows is None or method.columns is None:
+            raise
+        sizes = f"rows={method.rows} and columns={method.columns}"
+        raise type(error)(f"{sizes} need responses of {n_lags} lags. {error}") from error
     cut = truncation(responses)
     return from_impulse_responses(
         method,

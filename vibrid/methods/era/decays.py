@@ -117,7 +117,7 @@ class DecayModels(Evidence):
             "factorization": self.factor.path,
             "smallest_pivot": self.factor.smallest_pivot,
         }
-        findings = (*self.findings, *factor_findings(self.factor), *gain_findings(found))
+        findings = (*self.remarks, *factor_findings(self.factor), *gain_findings(found))
         fit = as_fit(
             method,
             self.stream,
@@ -193,7 +193,7 @@ def from_decays(
         stream=stream,
         gram=gram,
         reasons=(reason, *chosen),
-        findings=(),
+        remarks=(),
         factor=factor,
         heads=tuple(stream.read(each, 0, min(rows, each.length)) for each in stream.segments),
     )

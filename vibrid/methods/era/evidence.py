@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -13,6 +14,7 @@ from ...fit import Finding, Fit
 from ...gram import BlockGram
 from ...kalman import spectral_radius
 from ...record import Floats
+from ..excitation_checks import data_findings
 from .models import HankelModels
 
 NOISE_FREE = 1e-8  # error over response, rms: below it rounding outweighs the noise
@@ -29,7 +31,8 @@ class Evidence:
     feedthrough : array of bool (n_outputs,)
     stream, gram : of records; None for measured responses
     reasons : tuple of str
-    findings : tuple of Finding
+    remarks : tuple of Finding
+        What was noticed while the responses were made.
     """
 
     method: Any
@@ -38,7 +41,14 @@ class Evidence:
     stream: Stream | None
     gram: BlockGram | None
     reasons: tuple[str, ...]
-    findings: tuple[Finding, ...]
+    remarks: tuple[Finding, ...]
+
+    @cached_property
+    def findings(self) -> tuple[Finding, ...]:
+        """What the data lack, and what was noticed."""
+        if self.stream is None or self.gram is None:
+            return self.remarks
+        return (*data_findings(self.stream, self.gram), *self.remarks)
 
     @property
     def largest_order(self) -> int:

@@ -41,8 +41,16 @@ class _Realization:
             if getattr(self, name) is not None:
                 check_whole(name, getattr(self, name), 1)
         check_choice("responses", self.responses, RESPONSES)
-        if self.references is not None:
+        if isinstance(self.references, str):
+            object.__setattr__(self, "references", (self.references,))
+        elif self.references is not None:
             object.__setattr__(self, "references", tuple(self.references))
+        if self.references is not None and self.responses not in ("auto", "correlations"):
+            raise OptionError(
+                f"references={self.references} belong to correlations; with responses="
+                f'"{self.responses}" there are none. Leave them out, or use '
+                'responses="correlations".'
+            )
 
     @property
     def reach(self) -> int:
@@ -235,7 +243,9 @@ class ERADC(_Realization):
     responses' rms, median pole errors: where the noise is correlated (first order, .9 from
     lag to lag), τ = 10 and ξ = ζ = 3 have .0015 and .0005 against .0035 and .0016 of ERA of
     the same 30 rows and 200 columns, and .0017 and .0006 of ERA of all lags; where it is
-    white, ERA of all lags is as good or better (.0009 and .0009 against .0010 and .0010).
+    white, ERA of all lags is as good or better (.0009 and .0009 against .0010 and .0010), and
+    much better for weak modes, whose singular values correlations square: of ten modes in white
+    noise of 5 %, with 100 × 100 blocks, the worst pole is off by .0002 against .004.
 
     References
     ----------
@@ -283,7 +293,8 @@ class ERADC(_Realization):
                 rows,
                 *weights,
                 float(np.square(first).sum()),
-                leading_triplets(first, USUAL_ORDERS),
+                # stacked correlations have no more rank than the responses they are made of
+                leading_triplets(first, min(USUAL_ORDERS, *markov.shape)),
                 markov,
             )
 

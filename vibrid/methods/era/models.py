@@ -15,6 +15,7 @@ from ...record import Floats
 from .triplets import Triplets, leading_triplets
 
 USUAL_ORDERS = 64  # states prepared together; larger orders prepare all there are
+GAP = 1e-2  # the first value of rounding over the last of the data, where they have a rank
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,14 +72,28 @@ class HankelModels:
 
     @property
     def largest_order(self) -> int:
-        if self.rank_limited:
+        if self.is_cut:
             return self.leading.kept
         # correlations stack more rows, but O needs its own for the inputs
-        return int(min(self.rows * self.n_outputs, *self.first.shape))
+        return int(min(self.rows * self.n_outputs, self._width))
+
+    @property
+    def _width(self) -> int:
+        """Columns that states can be told from; stacking correlations makes no more of them."""
+        return int(self.first.shape[1] if self.markov is None else self.markov.shape[1])
 
     @property
     def rank_limited(self) -> bool:
-        """Whether singular values beyond the largest order are nothing but rounding."""
+        """Whether the data end at a rank: a gap, and nothing but rounding beyond it.
+
+        Values that fade into rounding, as those of smooth data do, show no rank.
+        """
+        kept, values = self.leading.kept, self.leading.values
+        return self.is_cut and (kept == len(values) or bool(values[kept] <= GAP * values[kept - 1]))
+
+    @property
+    def is_cut(self) -> bool:
+        """Whether states were left out because their singular values are rounding."""
         return self.leading.kept < self.leading.asked
 
     @property
@@ -86,7 +101,12 @@ class HankelModels:
         """What the largest order follows from, in words."""
         if self.rank_limited:
             return "the rank of the (nearly noise-free) data"
-        return f"a Hankel matrix of {self.rows} block rows and {self.first.shape[1]} columns"
+        if self.is_cut:
+            return "the singular values above rounding"
+        if self.rows * self.n_outputs <= self._width:
+            outputs = f"{self.n_outputs} output{'s' if self.n_outputs > 1 else ''}"
+            return f"rows={self.rows} with {outputs}"
+        return f"the {self._width} columns of the Hankel matrix"
 
     def tail(self, order: int) -> float:
         """Return the share of the matrix's energy that this order leaves out."""
@@ -109,8 +129,7 @@ class HankelModels:
 
     def controllability(self, order: int) -> Floats:
         """Return R (n, columns · m): its first block column is B, the next about A B."""
-        width = self.first.shape[1] if self.markov is None else self.markov.shape[1]
-        return self._reach(order, width)
+        return self._reach(order, self._width)
 
     def _reach(self, order: int, width: int) -> Floats:
         """Return the first columns of R."""
@@ -147,9 +166,7 @@ class HankelModels:
         if order <= self.leading.kept:
             return self.leading
         if order > self.largest_order or order > self._all.kept:
-            most = min(
-                self.largest_order, self.leading.kept if self.rank_limited else self._all.kept
-            )
+            most = min(self.largest_order, self.leading.kept if self.is_cut else self._all.kept)
             raise OptionError(f"order={order} is more than {self.limit} allow: at most {most}.")
         return self._all
 

@@ -12,7 +12,7 @@ import numpy as np
 from ...chunks import Stream
 from ...fit import Diagnostics, Finding, Fit, feedthrough_mask
 from ...gram import BlockGram
-from ...kalman import STABLE_TO
+from ...kalman import STABLE_TO, spectral_radius
 from ...record import Floats, FrequencyResponses, ImpulseResponses
 from ...statespace import StateSpace
 from ..result import Realization, as_fit, gain_findings
@@ -42,6 +42,22 @@ class ResponseModels(Evidence):
     known: dict[str, Any]
 
     @property
+    def rank_limited(self) -> bool:
+        """Whether singular values beyond the largest order are nothing but rounding.
+
+        The ringing of a cut band fades into rounding too: its poles are no system's, and some
+        of them are unstable.
+        """
+        if self.period is None or not self.kernel.is_cut:
+            return self.kernel.rank_limited
+        return spectral_radius(self._model(self.largest_order).A) <= STABLE_TO
+
+    @property
+    def criterion_decides(self) -> bool:
+        """Whether errors are white: where nothing but ringing is left they are not."""
+        return self.period is None or not self.kernel.is_cut
+
+    @property
     def n_columns(self) -> int:
         """Response samples of each output, lag 0 left out."""
         return (len(self.responses.values) - 1) * self.kernel.n_inputs
@@ -57,13 +73,11 @@ class ResponseModels(Evidence):
         parameters.
         """
         model = self._model(order)
-        radius = float(np.abs(model.poles).max())
+        radius = spectral_radius(model.A)
         errors = self._errors(order)
         if not np.isfinite(errors).all():
             return np.inf, False
-        sizes = np.square(self.responses.values[1:]).sum(axis=(0, 2))
-        floor = NOISE_FREE**2 * sizes + np.finfo(float).tiny
-        spread = float(np.log((errors + floor) / self.n_columns).sum())
+        spread = float(np.log(errors + NOISE_FREE**2).sum())
         parameters = order * (self.kernel.n_outputs + self.kernel.n_inputs)
         return information(spread, self.n_columns, parameters), radius <= STABLE_TO
 
@@ -80,22 +94,23 @@ class ResponseModels(Evidence):
         return {}
 
     def _errors(self, order: int) -> Floats:
-        """Return the sum of squares of measured less modelled responses, output by output."""
+        """Return measured less modelled over measured responses, squared, output by output."""
+        unit = _units(self.responses.values[1:])[:, None]
         with np.errstate(over="ignore", invalid="ignore"):  # of an unstable model
             modelled = self._model(order).markov_parameters(len(self.responses.values))
-            return np.asarray(np.square(self.responses.values - modelled)[1:].sum(axis=(0, 2)))
+            left = np.square((self.responses.values - modelled)[1:] / unit).sum(axis=(0, 2))
+        sizes = np.square(self.responses.values[1:] / unit).sum(axis=(0, 2))
+        return np.asarray(left / np.where(sizes > 0, sizes, 1))
 
     def fit(self, order: int, method: Any) -> Fit:
         """Return the model of one order with its figures."""
         model = self._model(order)
-        sizes = np.square(self.responses.values[1:]).sum(axis=(0, 2))
-        weights = self.kernel.output_weights**2
+        # balanced outputs weigh alike, silent ones nothing
+        silent = ~self.responses.values[1:].any(axis=(0, 2))
         figures = {
             **self.figures(order, model.A),
             **self.known,
-            "reconstruction_error": float(
-                np.sqrt(weights @ self._errors(order) / (weights @ sizes))
-            ),
+            "reconstruction_error": float(np.sqrt(self._errors(order)[~silent].mean())),
         }
         if self.stream is not None:
             return self._record_fit(model, method, figures)
@@ -120,7 +135,7 @@ class ResponseModels(Evidence):
             singular_values=self.singular_values,
             state_covariance=np.zeros((0, 0)),
             parameter_covariance=None,
-            diagnostics=Diagnostics(figures, (*self.findings, finding)),
+            diagnostics=Diagnostics(figures, (*self.remarks, finding)),
             gram=None,
             input_channels=self.responses.input_channels,
             output_channels=self.responses.output_channels,
@@ -148,9 +163,15 @@ class ResponseModels(Evidence):
             found,
             singular_values=self.singular_values,
             feedthrough=self.feedthrough,
-            diagnostics=Diagnostics(figures, (*self.findings, *gain_findings(found))),
+            diagnostics=Diagnostics(figures, (*self.remarks, *gain_findings(found))),
             gram=self.gram,
         )
+
+
+def _units(values: Floats) -> Floats:
+    """Return the largest magnitude of each output, 1 of a silent one: squares stay in range."""
+    largest = np.abs(values).max(axis=(0, 2))
+    return np.asarray(np.where(largest > 0, largest, 1.0))
 
 
 def _white_state_covariance(reach: Floats, input_scale: Floats) -> Floats:
@@ -200,7 +221,7 @@ def from_impulse_responses(
         stream=stream,
         gram=gram,
         reasons=reasons,
-        findings=findings,
+        remarks=findings,
         responses=responses,
         period=period,
         known=known or {},

@@ -85,8 +85,9 @@ def _check_lags(rows: int | None, columns: int | None, highest: int, reach: int)
     given = (("rows", rows), ("columns", columns))
     named = " and ".join(f"{name}={value}" for name, value in given if value)
     shifts = f" with {reach} lags of shifts" if reach else ""
-    fewer = "fewer rows and columns, smaller shifts," if reach else "fewer rows and columns,"
+    cures = ["fewer rows and columns"] * bool(named) + ["smaller shifts"] * bool(reach)
     raise DataError(
         f"{named or 'The smallest Hankel matrix'}{shifts} needs responses up to lag {needed}; "
-        f"they end at lag {highest}. Use {fewer} or longer responses."
+        f"they end at lag {highest}. Use {', '.join([*cures, ''])}{'or ' * bool(cures)}longer "
+        "responses."
     )

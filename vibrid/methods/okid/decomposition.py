@@ -16,6 +16,7 @@ from ...gram import BlockGram
 from ...kalman import DETECTABLE, STABLE_TO, riccati_gain, spectral_radius
 from ...linalg import RANK_TOLERANCE, one_blas_thread, solve_upper
 from ...record import Floats
+from ..excitation_checks import data_findings
 from ..result import Realization
 from .regression import NOISE_FREE, Regression
 
@@ -45,7 +46,12 @@ class ObserverModels:
     gains: Floats
     kernel: Any
     reasons: tuple[str, ...]
-    findings: tuple[Finding, ...] = ()
+    remarks: tuple[Finding, ...] = ()
+
+    @cached_property
+    def findings(self) -> tuple[Finding, ...]:
+        """What the data lack, and what was remarked on the way."""
+        return (*data_findings(self.stream, self.gram), *self.remarks)
 
     @property
     def largest_order(self) -> int:

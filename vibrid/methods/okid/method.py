@@ -111,6 +111,12 @@ class OKID:
             raise OptionError(
                 f"realization must be ERA(…), ERADC(…), 'era' or 'eradc'; got {self.realization!r}."
             )
+        for name, unset in (("responses", "auto"), ("references", None)):
+            if getattr(self.realization, name) != unset:
+                raise OptionError(
+                    f"{name}={getattr(self.realization, name)!r} says how ERA takes a record; "
+                    f"inside OKID it has the observer's responses. Leave {name} out."
+                )
         check_choice("hankel", self.hankel, HANKELS)
         check_whole("whitening", self.whitening, 0)
         check_choice("completion", self.completion, COMPLETIONS)
@@ -184,7 +190,7 @@ class OKID:
             gains=gain_rows(joint, sizes[0], m),
             kernel=kernel,
             reasons=reasons,
-            findings=tuple(findings),
+            remarks=tuple(findings),
         )
 
     def _responses(self, data: Regression, n_lags: int) -> Responses:

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
-import scipy.linalg as sla
 
+from ...linalg import triangle
 from ...record import Floats
 from ..result import Realization
 from .layout import Layout
@@ -44,12 +45,22 @@ class FreeRun:
     n_inputs: int
     n_outputs: int
 
+    @property
+    def _first_output(self) -> int:
+        return len(self.triangle) - len(self.steps) * self.n_outputs
+
+    @cached_property
+    def _floor(self) -> Floats:
+        """Rounding of the outputs' covariance at each step (steps, p, p)."""
+        size = (self.triangle[:, self._first_output :] ** 2).sum(axis=0)
+        diagonal = size.reshape(-1, self.n_outputs, 1) * np.eye(self.n_outputs)
+        return np.asarray(NOISE_FREE**2 * diagonal)
+
     def cost(self, model: Realization, samples: int) -> float:
         """Return the mean over the steps of log det of the covariance of y − ŷ."""
         m, p, n = self.n_inputs, self.n_outputs, len(model.A)
         free, driven, _ = _responses(model, np.zeros_like(model.K), self.steps[-1])
-        states = (self.steps[-1] + 1) * m
-        outputs = len(self.triangle) - len(self.steps) * p
+        states, outputs = (self.steps[-1] + 1) * m, self._first_output
         errors = np.zeros((len(self.triangle), len(self.steps) * p))
         for k, step in enumerate(self.steps):
             columns = slice(k * p, (k + 1) * p)
@@ -57,12 +68,11 @@ class FreeRun:
             errors[step * m : (step + 1) * m, columns] = -model.D.T
             errors[states : states + n, columns] = -free[step].T
             errors[outputs + k * p : outputs + (k + 1) * p, columns] = np.eye(p)
-        missed = self.triangle @ errors
-        total = 0.0
-        for k in range(len(self.steps)):
-            columns = slice(k * p, (k + 1) * p)
-            total += _log_det(missed[:, columns], self.triangle[:, outputs:][:, columns], samples)
-        return total / len(self.steps)
+        missed = (self.triangle @ errors).T.reshape(len(self.steps), p, -1)
+        if not np.isfinite(missed).all():
+            return np.inf
+        covariances = missed @ missed.transpose(0, 2, 1) + self._floor
+        return float(np.linalg.slogdet(covariances / samples)[1].mean())
 
 
 def free_run(R: Floats, layout: Layout, state_map: Floats) -> FreeRun:
@@ -77,10 +87,9 @@ def free_run(R: Floats, layout: Layout, state_map: Floats) -> FreeRun:
             R[:, outputs],
         ]
     )
-    triangle = np.asarray(sla.qr(samples, mode="r", check_finite=False)[0])[: samples.shape[1]]
-    missing = samples.shape[1] - len(triangle)
-    triangle = np.pad(triangle, ((0, missing), (0, 0)))
-    return FreeRun(triangle, tuple(steps), layout.n_inputs, layout.n_outputs)
+    T = triangle(samples)
+    square = np.pad(T, ((0, samples.shape[1] - len(T)), (0, 0)))
+    return FreeRun(square, tuple(steps), layout.n_inputs, layout.n_outputs)
 
 
 def _stacked(responses: Floats, step: int) -> Floats:

@@ -9,6 +9,7 @@ import scipy.linalg as sla
 from scipy.special import chdtrc
 
 from ...fit import Finding
+from ...linalg import triangle
 from ...record import Floats
 from .layout import Layout
 from .states import NOISE_FREE
@@ -93,10 +94,10 @@ def feedback_of(R: Floats, layout: Layout, samples: int) -> Feedback | None:
     known = len(past) + m * (1 + BETWEEN_SAMPLES)
     inputs = [layout.inputs(k) for k in range(1 + BETWEEN_SAMPLES + steps)]
     columns = np.concatenate([past, *inputs, layout.outputs(0)])
-    triangle = np.asarray(sla.qr(R[:, columns], mode="r", check_finite=False)[0])
-    explained = triangle[known : len(columns) - p, -p:]
-    error = triangle[known:, -p:]
-    if _singular(triangle, known, p):
+    T = triangle(R[:, columns])
+    explained = T[known : len(columns) - p, -p:]
+    error = T[known:, -p:]
+    if _singular(T, known, p):
         return None
     whitened = sla.solve_triangular(_root(error), explained.T, lower=True)
     freedom = p * m * steps
@@ -111,12 +112,12 @@ def _noise(R: Floats, layout: Layout) -> float:
     return float((last[known:].sum(axis=0) / last.sum(axis=0)).mean())
 
 
-def _singular(triangle: Floats, known: int, n_outputs: int) -> bool:
+def _singular(T: Floats, known: int, n_outputs: int) -> bool:
     """Tell whether there are no innovations, or no news in the future inputs, to compare."""
-    size = np.linalg.norm(triangle, axis=0)
-    left = np.linalg.norm(triangle[known:, -n_outputs:], axis=0)
-    own = np.abs(np.diag(triangle))[known : triangle.shape[1] - n_outputs]
-    inputs = size[known : triangle.shape[1] - n_outputs]
+    size = np.linalg.norm(T, axis=0)
+    left = np.linalg.norm(T[known:, -n_outputs:], axis=0)
+    own = np.abs(np.diag(T))[known : T.shape[1] - n_outputs]
+    inputs = size[known : T.shape[1] - n_outputs]
     return bool((left <= NOISE_FREE * size[-n_outputs:]).any() or (own <= 1e-6 * inputs).any())
 
 

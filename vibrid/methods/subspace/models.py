@@ -21,7 +21,7 @@ from ...kalman import (
     riccati_gain,
     spectral_radius,
 )
-from ...linalg import one_blas_thread, solve_upper
+from ...linalg import one_blas_thread, solve_upper, triangle
 from ...record import Floats
 from ..excitation_checks import data_findings
 from ..result import Realization
@@ -30,7 +30,7 @@ from .feedback import Feedback, feedback_of
 from .layout import Layout
 from .states import NOISE_FREE
 
-USUAL_ORDERS = 64  # states prepared together; larger orders prepare all there are
+PREPARED = (16, 64)  # states prepared together; larger orders prepare all there are
 
 
 @dataclass(frozen=True, eq=False)
@@ -130,7 +130,8 @@ class Subspace:
 
     def _width(self, order: int) -> int:
         """Return how many states are prepared at once for this order: few serve most orders."""
-        return self.largest_order if order > USUAL_ORDERS else min(USUAL_ORDERS, self.largest_order)
+        wide = next((width for width in PREPARED if order <= width), self.largest_order)
+        return min(wide, self.largest_order)
 
     def _regression(self, width: int) -> Floats:
         """Return the triangle T of [u(t), x(t), x(t+1), y(t)] for orders up to `width`."""
@@ -144,8 +145,7 @@ class Subspace:
                     R[:, layout.outputs(0)],
                 ]
             )
-            triangle = np.asarray(sla.qr(samples, mode="r", check_finite=False)[0])
-            self._regressions[width] = triangle[: samples.shape[1]]
+            self._regressions[width] = triangle(samples)
         return self._regressions[width]
 
     def _nested_shift(self, width: int) -> tuple[Floats, Floats]:
@@ -155,7 +155,7 @@ class Subspace:
             # rows weigh by the outputs' deviations, so that units do not
             weights = np.tile(self.stream.output_balance, self.layout.future_rows)[:, None]
             gamma = weights * self.gamma[:, :width]
-            Q, upper = sla.qr(gamma[:-p], mode="economic", check_finite=False)
+            Q, upper = np.linalg.qr(gamma[:-p])
             self._shifts[width] = upper, Q.T @ gamma[p:]
         return self._shifts[width]
 
@@ -295,13 +295,15 @@ class Subspace:
         size = (y**2).sum(axis=0) / samples
         if not (np.diag(model.innovation) > NOISE_FREE**2 * size).any():
             return model
-        K = sla.lstsq(draft.output_error, draft.state_error, cond=1e-10, check_finite=False)[0].T
-        if not self.positive_real and spectral_radius(A - K @ C) < DETECTABLE:
-            return replace(model, K=K, gain="regression")
-        found = _gain_of_residuals(A, C, draft.state_error, draft.output_error, samples)
-        if found is None:
+        found, *_ = np.linalg.lstsq(draft.output_error, draft.state_error, rcond=1e-10)
+        K: Floats = np.asarray(found.T, dtype=np.float64)
+        regressed = replace(model, K=K, gain="regression")
+        if not self.positive_real and regressed.predictor_radius < DETECTABLE:
+            return regressed
+        solved = _gain_of_residuals(A, C, draft.state_error, draft.output_error, samples)
+        if solved is None:
             return replace(model, gain="none: no stable predictor")
-        return replace(model, K=found[0], innovation=found[1], gain="Riccati")
+        return replace(model, K=solved[0], innovation=solved[1], gain="Riccati")
 
 
 @dataclass(frozen=True, eq=False)

@@ -5,7 +5,6 @@ from __future__ import annotations
 from typing import Any
 
 from ...fit import Diagnostics, Fit
-from ...kalman import spectral_radius
 from ..result import Realization, as_fit, factor_findings, gain_findings
 from .models import Subspace
 
@@ -25,7 +24,7 @@ def subspace_fit(method: Any, subspace: Subspace, found: Realization) -> Fit:
 
 def _diagnostics(subspace: Subspace, found: Realization) -> Diagnostics:
     layout, factor = subspace.layout, subspace.factor
-    memory = spectral_radius(found.A - found.K @ found.C) ** layout.past_rows
+    memory = found.predictor_radius**layout.past_rows
     figures = {
         "past_rows": layout.past_rows,
         "future_rows": layout.future_rows,
@@ -34,7 +33,6 @@ def _diagnostics(subspace: Subspace, found: Realization) -> Diagnostics:
         "smallest_pivot": factor.smallest_pivot,
         "transition": found.transition,
         "gain": found.gain,
-        "spectral_radius": found.radius,
         "predictor_memory": memory,
     }
     return Diagnostics(figures, (*factor_findings(factor), *gain_findings(found)))

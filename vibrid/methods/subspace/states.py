@@ -7,7 +7,14 @@ import scipy.linalg as sla
 from numpy.typing import NDArray
 
 from ...errors import DataError
-from ...linalg import RANK_TOLERANCE, divide_by_lower, leading_svd, left_whitener, solve_upper
+from ...linalg import (
+    RANK_TOLERANCE,
+    divide_by_lower,
+    leading_svd,
+    left_whitener,
+    solve_upper,
+    triangle,
+)
 from ...record import Floats
 from .layout import Layout
 
@@ -25,8 +32,8 @@ def projected_states(
     """
     a, b = layout.n_future_inputs, layout.n_future_inputs + layout.n_past
     if whiten:
-        root, inverse = left_whitener(R[a:, b:].T)
-        U, s, Vt = kept_svd(inverse @ R[a:b, b:].T, layout.largest_order)
+        root, correlations = _whitened(R[a:, b:], b - a)
+        U, s, Vt = kept_svd(correlations, layout.largest_order)
         gamma = root @ U
     else:
         weights = np.tile(balance, layout.future_rows)[:, None]
@@ -35,6 +42,20 @@ def projected_states(
     size = s[: U.shape[1]] ** 0.5
     state_map, _ = divide_by_lower(size[:, None] * Vt, R[a:b, a:b].T)
     return gamma * size, state_map, s
+
+
+def _whitened(outputs: Floats, n_past: int) -> tuple[Floats, Floats]:
+    """Return T with T Tᵀ = outputsᵀ · outputs and T⁺ times its first `n_past` rows, transposed.
+
+    These are rows of an orthogonal factor (Björck & Golub 1973), exact to rounding even where
+    T is nearly singular; an inverse of T would mix correlations that are nearly one.
+    """
+    Q, upper = np.linalg.qr(outputs)
+    diagonal = np.abs(np.diag(upper))
+    if len(upper) == len(upper.T) and diagonal.min() > RANK_TOLERANCE * diagonal.max():
+        return upper.T, Q[:n_past].T
+    root, inverse = left_whitener(outputs.T)
+    return root, inverse @ outputs[:n_past].T
 
 
 def oblique_states(R: Floats, layout: Layout, balance: Floats) -> tuple[Floats, Floats, Floats]:
@@ -69,14 +90,11 @@ def whitened_by_regression(R: Floats, layout: Layout) -> tuple[Floats, Floats, F
     if (np.linalg.norm(error, axis=0) <= NOISE_FREE * size).any():
         return None
     toeplitz = _future_part(layout, direct, lagged)
-    triangle = np.asarray(
-        sla.qr(np.hstack([R[:, past], R @ toeplitz]), mode="r", check_finite=False)[0]
-    )[: len(past) + toeplitz.shape[1]]
-    b = len(past)
-    root, inverse = left_whitener(triangle[:, b:].T)
-    U, s, Vt = kept_svd(inverse @ triangle[:b, b:].T, layout.largest_order)
+    T, b = triangle(np.hstack([R[:, past], R @ toeplitz])), len(past)
+    root, inverse = left_whitener(T[:, b:].T)
+    U, s, Vt = kept_svd(inverse @ T[:b, b:].T, layout.largest_order)
     scale = s[: U.shape[1]] ** 0.5
-    state_map, _ = divide_by_lower(scale[:, None] * Vt, triangle[:b, :b].T)
+    state_map, _ = divide_by_lower(scale[:, None] * Vt, T[:b, :b].T)
     # the outputs' rows of the map are (I − T_y)ᵀ, unit upper triangular
     outputs = toeplitz[len(R) - layout.future_rows * layout.n_outputs :]
     gamma = sla.solve_triangular(outputs.T, root @ U, lower=True, check_finite=False)
@@ -88,9 +106,8 @@ def _predictor_markov(
 ) -> tuple[Floats, Floats]:
     """Return Dᵀ (m, p) and the coefficients of W_p (n_past, p) of the regression of y(t)."""
     columns = np.concatenate([past, now, layout.outputs(0)])
-    triangle = np.asarray(sla.qr(R[:, columns], mode="r", check_finite=False)[0])
-    q = len(past) + len(now)
-    found = solve_upper(triangle[:q, :q], triangle[:q, q : len(columns)])
+    T, q = triangle(R[:, columns]), len(past) + len(now)
+    found = solve_upper(T[:q, :q], T[:q, q : len(columns)])
     return found[len(past) :], found[: len(past)]
 
 

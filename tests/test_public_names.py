@@ -10,6 +10,7 @@ import vibrid
 
 # Adding a name here is a decision: it stays.
 PROMISED = {
+    "BlindFit",
     "Channel",
     "DataError",
     "Diagnostics",
@@ -32,6 +33,7 @@ PROMISED = {
     "StateSpace",
     "UnstableModelError",
     "VibridError",
+    "estimate_input",
     "exponential_window",
     "find_hits",
     "fir",
@@ -41,6 +43,7 @@ PROMISED = {
     "hammer_responses",
     "hit_segments",
     "identify",
+    "identify_blind",
     "impulse_responses",
     "load",
     "mac",

@@ -1,5 +1,6 @@
 """vibrid: from vibration records to state-space models and modes, every choice explained."""
 
+from .blind import BlindFit, estimate_input, identify_blind
 from .errors import DataError, FileError, OptionError, PathError, UnstableModelError, VibridError
 from .files import load, read_record, save, write_record
 from .fit import Diagnostics, Finding, Fit
@@ -35,6 +36,7 @@ __all__ = [
     "N4SID",
     "OKID",
     "SSI",
+    "BlindFit",
     "Channel",
     "DataError",
     "Diagnostics",
@@ -52,6 +54,7 @@ __all__ = [
     "StateSpace",
     "UnstableModelError",
     "VibridError",
+    "estimate_input",
     "exponential_window",
     "find_hits",
     "fir",
@@ -61,6 +64,7 @@ __all__ = [
     "hammer_responses",
     "hit_segments",
     "identify",
+    "identify_blind",
     "impulse_responses",
     "load",
     "mac",

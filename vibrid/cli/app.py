@@ -2,21 +2,17 @@
 
 from __future__ import annotations
 
-import contextlib
-import json
 import os
 import re
 import sys
-import traceback
 import warnings
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from importlib import metadata
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
-from cyclopts import App, CycloptsError, Parameter, UnknownOptionError, UnusedCliTokensError
-from rich.console import Console, RenderableType
+from cyclopts import App, CycloptsError, Parameter
 from rich.text import Text
 
 from ..errors import DataError, OptionError, VibridError
@@ -25,7 +21,7 @@ from ..files.fits import is_fit
 from ..files.survey import survey
 from ..fit import Fit
 from ..physical import fit_rayleigh
-from ..record import FrequencyResponses
+from ..record import FrequencyResponses, Record
 from ..reporting import (
     Outcome,
     ResponsesOutcome,
@@ -40,17 +36,34 @@ from ..reporting import (
     summary_of_responses,
     survey_as_json,
 )
+from ..reporting.blind import blind_as_json, describe_blind
 from ..reporting.physical import describe_physical, physical_as_json
 from . import demo as demos
-from .options import RESULTS, Identifying, MethodOptions, Physical, Reading, Results
+from .console import (
+    DEBUG,
+    DONE,
+    FAILED,
+    INTERRUPTED,
+    WRONG_USE,
+    bug,
+    errors,
+    fail,
+    give_up_output,
+    output,
+    pipe_closed,
+    settle_streams,
+    show,
+    show_json,
+    wrong_use,
+)
+from .making import Blind, Physical
+from .options import RESULTS, Identifying, MethodOptions, Reading, Results
 from .work import identify_file, progress_on
 
-DONE, FAILED, WRONG_USE, INTERRUPTED = 0, 1, 2, 130
-DEBUG = "VIBRID_DEBUG"
 REPEATABLE = ("--quantity", "--dof", "--unit")
 
 AS_READ, AUTOMATIC, NO_OPTIONS, PRINTED = Reading(), Identifying(), MethodOptions(), Results()
-AS_FOUND = Physical()
+AS_FOUND, UNKNOWN_FORCE = Physical(), Blind()
 
 Json = Annotated[
     bool, Parameter(help="Print one JSON object instead of text. Default: text.", group=RESULTS)
@@ -89,17 +102,17 @@ def identify(
     file
         CSV, text, NPY, NPZ, MAT, HDF5, UFF 58, WAV or TDMS.
     """
-    with progress_on(_errors()) as progress:
+    with progress_on(errors()) as progress:
         outcome = identify_file(file, reading, identifying, options, results.save, progress)
     if isinstance(outcome, ResponsesOutcome):
         if results.json:
-            _print_json(responses_outcome_as_json(outcome))
+            show_json(responses_outcome_as_json(outcome))
         else:
-            _print(summary_of_responses(outcome))
+            show(summary_of_responses(outcome))
     elif results.json:
-        _print_json(outcome_as_json(outcome))
+        show_json(outcome_as_json(outcome))
     else:
-        _print(summary(outcome))
+        show(summary(outcome))
     return DONE
 
 
@@ -117,15 +130,15 @@ def info(file: Path, /, *, reading: Reading = AS_READ, json: Json = False) -> in
     content = reading.read(file)
     if isinstance(content, FrequencyResponses):
         if json:
-            _print_json(responses_as_json(content, file.name))
+            show_json(responses_as_json(content, file.name))
         else:
-            _print(describe_responses(content, file.name))
+            show(describe_responses(content, file.name))
         return DONE
     looked = survey(content)
     if json:
-        _print_json(survey_as_json(looked, content))
+        show_json(survey_as_json(looked, content))
     else:
-        _print(describe_record(looked, content))
+        show(describe_record(looked, content))
     return DONE
 
 
@@ -134,9 +147,9 @@ def _info_of_fit(file: Path, reading: Reading, as_json: bool) -> int:
         raise OptionError(f"{file} holds a saved model; the options for records do not apply.")
     fit = load(file)
     if as_json:
-        _print_json(fit_as_json(fit, file.name))
+        show_json(fit_as_json(fit, file.name))
     else:
-        _print(describe_fit(fit, file.name))
+        show(describe_fit(fit, file.name))
     return DONE
 
 
@@ -165,9 +178,9 @@ def physical(
     oscillating = int((model.poles.imag > 0).sum())
     law = fit_rayleigh(model) if oscillating > 1 else None
     if results.json:
-        _print_json(physical_as_json(model, law))
+        show_json(physical_as_json(model, law))
     else:
-        _print(describe_physical(model, law))
+        show(describe_physical(model, law))
     return DONE
 
 
@@ -183,10 +196,44 @@ def _fit_of(
         if (reading, identifying, options) != (AS_READ, AUTOMATIC, NO_OPTIONS):
             raise OptionError(f"{file} holds a saved model; it is not identified again.")
         return load(file), False
-    with progress_on(_errors()) as progress:
+    with progress_on(errors()) as progress:
         outcome = identify_file(file, reading, identifying, options, results.save, progress)
     filtered = isinstance(outcome, Outcome) and outcome.band is not None
     return outcome.fit, filtered
+
+
+@app.command
+def blind(
+    file: Path,
+    /,
+    *,
+    dofs: Annotated[int, Parameter(help="Number of degrees of freedom: one sensor at each.")],
+    reading: Reading = AS_READ,
+    knowing: Blind = UNKNOWN_FORCE,
+    results: Results = PRINTED,
+) -> int:
+    """Find M⁻¹K, M⁻¹D and unknown forces from sensors alone, with a verdict.
+
+    Exits 1 where the data do not determine them: the rule that refuses is printed.
+    For example: vibrid blind run.csv --outputs a1,a2,a3 --dofs 3 --excitation periodic
+
+    Parameters
+    ----------
+    file
+        A record (CSV, text, NPY, NPZ, MAT, HDF5, UFF 58, WAV, TDMS).
+    """
+    content = reading.read(file)
+    if not isinstance(content, Record):
+        raise DataError(
+            f"{file} holds frequency responses; blind identification takes time records."
+        )
+    with progress_on(errors()) as progress:
+        fit = knowing.of(content, dofs, progress)
+    if results.json:
+        show_json(blind_as_json(fit))
+    else:
+        show(describe_blind(fit))
+    return DONE if fit.accepted else FAILED
 
 
 @app.command
@@ -226,7 +273,7 @@ def demo(
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command and return its exit status: 0, 1 for data, 2 for wrong use, 130."""
-    _settle_streams()
+    settle_streams()
     with warnings.catch_warnings():
         if not os.environ.get(DEBUG):  # what a user should know is a finding or an error
             warnings.simplefilter("ignore")
@@ -237,7 +284,7 @@ def _run(arguments: list[str]) -> int:
     try:
         status = app(
             spread(arguments),
-            console=_output(),
+            console=output(),
             exit_on_error=False,
             print_error=False,
             result_action="return_value",
@@ -245,23 +292,23 @@ def _run(arguments: list[str]) -> int:
         sys.stdout.flush()
         return status if isinstance(status, int) else DONE
     except CycloptsError as error:
-        return _fail(_wrong_use(error), WRONG_USE)
+        return fail(wrong_use(error), WRONG_USE)
     except OptionError as error:
-        return _fail(str(error), WRONG_USE)
+        return fail(str(error), WRONG_USE)
     except VibridError as error:
-        return _fail(str(error), FAILED)
+        return fail(str(error), FAILED)
     except KeyboardInterrupt:
-        return _fail("Interrupted.", INTERRUPTED)
+        return fail("Interrupted.", INTERRUPTED)
     except BrokenPipeError:
-        return _pipe_closed()
+        return pipe_closed()
     except MemoryError:
-        return _fail("Not enough memory; choose fewer channels or a narrower --band.", FAILED)
+        return fail("Not enough memory; choose fewer channels or a narrower --band.", FAILED)
     except OSError as error:
-        _give_up_output()  # it may be what failed, and would fail again at exit
+        give_up_output()  # it may be what failed, and would fail again at exit
         where = f"{error.filename}: " if error.filename else "Reading or writing failed: "
-        return _fail(f"{where}{error.strerror or error}.", FAILED)
+        return fail(f"{where}{error.strerror or error}.", FAILED)
     except Exception as error:
-        return _bug(error)
+        return bug(error)
 
 
 def spread(tokens: list[str]) -> list[str]:
@@ -291,88 +338,17 @@ def _both_demos(as_json: bool) -> int:
     )
     for k, (introduction, run) in enumerate(runs, start=1):
         if not as_json:
-            _print(Text(f"{k}. {introduction}\n", style="bold"))
-        with progress_on(_errors()) as progress:
+            show(Text(f"{k}. {introduction}\n", style="bold"))
+        with progress_on(errors()) as progress:
             outcome = run(folder, progress)
         found &= outcome.is_reference_found
         if as_json:
             said.append(outcome_as_json(outcome))
         else:
-            _print(summary(outcome))
-            _print(Text(""))
+            show(summary(outcome))
+            show(Text(""))
     if as_json:
-        _print_json({"demo": said})
+        show_json({"demo": said})
     if not found:
         raise DataError("The demo missed known frequencies; this is a defect, please report it.")
     return DONE
-
-
-def _output() -> Console:
-    return Console(markup=False, highlight=False, emoji=False)
-
-
-def _errors() -> Console:
-    return Console(stderr=True)
-
-
-def _print(what: RenderableType) -> None:
-    console = _output()
-    if console.is_terminal:
-        console.print(what)
-        return
-    with console.capture() as captured:
-        console.print(what)
-    # columns are padded; in a file or pipe nobody wants blanks at the ends of lines
-    print("\n".join(line.rstrip() for line in captured.get().splitlines()))
-
-
-def _print_json(facts: dict[str, Any]) -> None:
-    print(json.dumps(facts, ensure_ascii=False, allow_nan=False, indent=2))
-
-
-def _fail(message: str, status: int) -> int:
-    print(f"vibrid: {message}" if status != INTERRUPTED else message, file=sys.stderr)
-    return status
-
-
-def _wrong_use(error: CycloptsError) -> str:
-    if isinstance(error, UnknownOptionError) and error.token.value == "-":
-        return "Standard input is not read; write it to a file and give its path."
-    if isinstance(error, UnusedCliTokensError):
-        rest = " ".join(error.unused_tokens or ())
-        return f"Nothing takes the argument {rest!r}; give one FILE, and options by name."
-    words = re.sub(r'^Command "[^"]*" parameter ', "", " ".join(str(error).split()))
-    words = words.replace("positional arguments. Only got", "values; got")
-    return f"{words} See {' '.join(['vibrid', *(error.command_chain or ())])} --help."
-
-
-def _bug(error: Exception) -> int:
-    if os.environ.get(DEBUG):
-        traceback.print_exc()
-    words = " ".join(str(error).split())
-    return _fail(
-        f"internal error, please report it: {type(error).__name__}: {words} "
-        f"({DEBUG}=1 shows where).",
-        FAILED,
-    )
-
-
-def _pipe_closed() -> int:
-    """End quietly when the reader, such as head, has gone."""
-    _give_up_output()
-    return FAILED
-
-
-def _give_up_output() -> None:
-    with contextlib.suppress(OSError, ValueError):
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-
-
-def _settle_streams() -> None:
-    """Print to nowhere where a stream is closed, and never fail at a letter it cannot encode."""
-    for name in ("stdout", "stderr"):
-        if getattr(sys, name) is None:
-            setattr(sys, name, open(os.devnull, "w"))  # noqa: SIM115
-    for stream in (sys.stdout, sys.stderr):
-        if hasattr(stream, "reconfigure"):
-            stream.reconfigure(errors="replace")

@@ -16,17 +16,13 @@ from cyclopts import Group, Parameter
 from ..chunks import OFFSETS
 from ..errors import OptionError, check_choice
 from ..files import read_record
-from ..fit import Fit
 from ..identification.stability import POLICIES
-from ..mechanics import MOTIONS
 from ..methods import METHODS
-from ..physical import MechanicalModel, mechanical_model
 from ..record import QUANTITIES, FrequencyResponses, Record
 
 READING = Group("Reading the file", sort_key=1)
 IDENTIFYING = Group("Identifying", sort_key=2)
 METHOD_OPTIONS = Group("Options of the methods named in brackets", sort_key=3)
-PHYSICAL = Group("Physical coordinates", sort_key=4)
 RESULTS = Group("Results", sort_key=5)
 
 LARGEST_LOADED = 2**31  # bytes as float64: larger records stay on disk
@@ -34,7 +30,7 @@ LARGEST_LOADED = 2**31  # bytes as float64: larger records stay on disk
 Names = tuple[str, ...]
 
 
-def _help(words: str, **more: Any) -> Parameter:
+def help_of(words: str, **more: Any) -> Parameter:
     return Parameter(help=words, **more)
 
 
@@ -45,53 +41,53 @@ class Reading:
 
     inputs: Annotated[
         Names | None,
-        _help(
+        help_of(
             "Channels that drive the structure: a,b,c or repeated, names with commas in double "
             "quotes; '' for none. Default: as the file says, else none."
         ),
     ] = None
     outputs: Annotated[
-        Names | None, _help("Channels that respond. Default: all that are not inputs.")
+        Names | None, help_of("Channels that respond. Default: all that are not inputs.")
     ] = None
-    dt: Annotated[float | None, _help("Sampling interval [s]. Default: from the file.")] = None
+    dt: Annotated[float | None, help_of("Sampling interval [s]. Default: from the file.")] = None
     channels: Annotated[
         Path | None,
-        _help(
+        help_of(
             "TOML or CSV file that describes channels: name, quantity, unit, dof, sign, delay [s], "
             "role. Default: none."
         ),
     ] = None
     quantity: Annotated[
         Names,
-        _help(
+        help_of(
             f"What a channel measures, NAME=QUANTITY, repeated: {', '.join(QUANTITIES)}. Default: "
             "by unit, else other."
         ),
     ] = ()
     dof: Annotated[
         Names,
-        _help(
+        help_of(
             "Degree of freedom, NAME=LABEL, repeated; joins sensors and forces at one point. "
             "Default: from the file, else none."
         ),
     ] = ()
     unit: Annotated[
         Names,
-        _help("Unit, NAME=UNIT, repeated, such as m/s2, g, mm or N. Default: from the file."),
+        help_of("Unit, NAME=UNIT, repeated, such as m/s2, g, mm or N. Default: from the file."),
     ] = ()
     variable: Annotated[
         Names,
-        _help(
+        help_of(
             "Array of a MAT, NPZ or HDF5 file, or group of a TDMS file, that holds the signals. "
             "Default: the only one."
         ),
     ] = ()
     transpose: Annotated[
         bool,
-        _help("Time runs along the last axis of the arrays. Default: along the first."),
+        help_of("Time runs along the last axis of the arrays. Default: along the first."),
     ] = False
     correct_delays: Annotated[
-        bool, _help("Shift channels by the delays [s] that --channels states. Default: no.")
+        bool, help_of("Shift channels by the delays [s] that --channels states. Default: no.")
     ] = False
 
     def read(self, file: Path) -> Record | FrequencyResponses:
@@ -134,41 +130,41 @@ class Identifying:
 
     band: Annotated[
         tuple[float, float] | None,
-        _help(
+        help_of(
             "LOW HIGH [Hz]: filter and decimate to the band of interest; LOW may be 0. "
             "Default: all up to half the sampling rate."
         ),
     ] = None
     method: Annotated[
         str | None,
-        _help(
+        help_of(
             f"{' or '.join(METHODS)}. Default: n4sid when there are inputs, ssi when there are "
             "none."
         ),
     ] = None
     order: Annotated[
         str,
-        _help(
+        help_of(
             "Number of states (two for each mode), or auto: chosen from the data. Default: auto."
         ),
     ] = "auto"
     offset: Annotated[
         str,
-        _help(
+        help_of(
             "What to do about constant offsets: estimate (project them out), mean (subtract means) "
             "or none. Default: estimate."
         ),
     ] = "estimate"
     stability: Annotated[
         str,
-        _help(
+        help_of(
             f"What to do about an unstable model: {', '.join(POLICIES)}; raise stops with an "
             "error, project moves its poles inside. Default: raise."
         ),
     ] = "raise"
     feedthrough: Annotated[
         bool | None,
-        _help(
+        help_of(
             "Whether inputs act on outputs within the same sample (matrix D). Default: all but "
             "displacements and velocities.",
             negative="--no-feedthrough",
@@ -177,7 +173,7 @@ class Identifying:
 
     refine: Annotated[
         bool,
-        _help(
+        help_of(
             "Improve the model by maximum likelihood, with standard deviations; with inputs and "
             "order auto, the order by elimination. Default: the subspace model."
         ),
@@ -209,69 +205,13 @@ class Results:
 
     save: Annotated[
         Path | None,
-        _help(
+        help_of(
             "Write the model to this file (HDF5), such as run.vibrid.h5; vibrid info shows it. "
             "Default: not written."
         ),
     ] = None
-    json: Annotated[bool, _help("Print one JSON object instead of tables. Default: tables.")] = (
+    json: Annotated[bool, help_of("Print one JSON object instead of tables. Default: tables.")] = (
         False
-    )
-
-
-@Parameter(name="*", group=PHYSICAL)
-@dataclass(frozen=True)
-class Physical:
-    """How matrices are made from a model."""
-
-    mass: Annotated[
-        Names,
-        _help(
-            "Known masses [kg]: the total, or one a DOF as a,b,c in the order printed. "
-            "Default: none."
-        ),
-    ] = ()
-    structure: Annotated[
-        str | None,
-        _help("Nearest matrices that are symmetric, diagonal (M) or a chain. Default: as found."),
-    ] = None
-    delays: Annotated[
-        bool, _help("Set the delays of sensors right as estimated. Default: report them only.")
-    ] = False
-    hold: Annotated[
-        str | None,
-        _help(
-            "How inputs move between samples: zoh, foh or band_limited. Default: zoh for forces, "
-            "band_limited for base motion and after --band."
-        ),
-    ] = None
-    modes: Annotated[
-        Names, _help("Frequencies [Hz] of the modes to use, a,b,c. Default: chosen.")
-    ] = ()
-
-    def of(self, fit: Fit, filtered: bool) -> MechanicalModel:
-        """Return the mechanical model of a fit."""
-        _check_labels(fit)
-        masses = numbers("mass", self.mass)
-        return mechanical_model(
-            fit,
-            hold=self.hold or ("band_limited" if filtered else None),
-            mass=(masses[0] if len(masses) == 1 else masses) if masses else None,
-            structure=self.structure,
-            delays=self.delays,
-            frequencies_hz=numbers("modes", self.modes) or None,
-        )
-
-
-def _check_labels(fit: Fit) -> None:
-    """Raise `OptionError`, in words of the command line, where no output has a motion and DOF."""
-    if any(c.quantity in MOTIONS and c.dof is not None for c in fit.output_channels):
-        return
-    name = fit.output_channels[0].name
-    raise OptionError(
-        "Physical coordinates need to know what each channel measures, and where. Give, for each, "
-        f"--quantity {name}=acceleration --dof {name}=f1 (forces too, --quantity NAME=force), or "
-        "--channels FILE; a saved model keeps the labels that it was identified with."
     )
 
 
@@ -302,15 +242,6 @@ def pairs(option: str, values: Sequence[str]) -> dict[str, str]:
             raise OptionError(f"--{option} takes NAME=VALUE; got {text!r}.")
         found[name] = value
     return found
-
-
-def numbers(option: str, texts: Names) -> list[float]:
-    """Return the numbers of a,b,c or of a repeated option."""
-    words = split_names(texts) or []
-    try:
-        return [float(word) for word in words]
-    except ValueError:
-        raise OptionError(f"--{option} must be numbers, a,b,c; got {', '.join(words)}.") from None
 
 
 def method_of(name: str, given: Mapping[str, Any]) -> Any:

@@ -25,6 +25,7 @@ from .candidates import (
 from .held_out import GRID, held_out_errors, smallest_enough
 from .scan import OrderScan, choose_order, scan_orders, steady_modes
 
+UNLIKE = 2.5  # times the error of all data: where unseen halves cannot do better, they differ
 LONGEST_MEMORY = 20  # samples: a longer horizon leaves too few observations of a short record
 KEPT = 1.2  # of the simulation error: more with a few more columns is an accident
 
@@ -302,8 +303,10 @@ def _by_held_out(stream: Stream, choice: Choice, feedthrough: Mask) -> Choice:
     stable = choice.scan.orders[choice.scan.stable]
     orders = [int(k) for k in stable if k <= choice.order and (k in GRID or k == choice.order)]
     errors = held_out_errors(stream, choice.method, feedthrough, orders)
-    # at 100 % error the halves say nothing: one of them may hold no force at all
-    if choice.order not in errors or min(errors.values()) >= 1:
+    # at 100 % error, or far above what all data reach, the halves hold different motion: one
+    # may hold no force at all, or a sweep's other frequencies
+    seen = simulation_error_of(shortened(stream), choice.method, choice.decomposition, choice.order)
+    if choice.order not in errors or min(errors.values()) >= min(1.0, UNLIKE * seen):
         return _by_seen(stream, choice, orders)
     order = smallest_enough(errors)
     why = choice.reasons[-1]

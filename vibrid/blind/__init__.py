@@ -1,0 +1,19 @@
+"""Blind identification: matrices in physical coordinates, and forces that were not measured."""
+
+from .choice import identify_blind
+from .input_estimation import estimate_input
+from .likelihood import blind_likelihood
+from .point import blind_rows
+from .result import BlindFit, BlindVerdict, Refusal
+from .subspace import blind_subspace
+
+__all__ = [
+    "BlindFit",
+    "BlindVerdict",
+    "Refusal",
+    "blind_likelihood",
+    "blind_rows",
+    "blind_subspace",
+    "estimate_input",
+    "identify_blind",
+]

@@ -1,0 +1,304 @@
+"""blind_measured(): 𝒦, 𝒟 and ℬ where periodic forces were measured, from both parts of the motion.
+
+The transient gives [𝒦 𝒟] with its covariance, the steady state c_j = G(iν_j) ℬ u_j; together
+they are several times more certain than the transient alone.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import scipy.linalg as sla
+from numpy.typing import ArrayLike, NDArray
+
+from ...errors import DataError, OptionError
+from ...exosystem import signal_basis
+from ...fit import Diagnostics
+from ...modes import Complexes
+from ...record import Floats, Record
+from .. import refusals
+from ..coordinates import normalized_system
+from ..result import BlindFit, BlindVerdict, Refusal, blind_fit, modes_from
+from ..sensors import Sensors
+from .components import Signals
+from .data import most_oscillations, signals_of
+from .division import divide
+from .modal import modal_estimate
+from .place import Place
+from .search import Progress, grow, settle
+
+MISFIT = 1.5  # χ² per degree of freedom of both parts together
+MOST_SINES = 40  # of a force whose frequencies are not given
+SINGULAR = 1e-12
+
+
+@dataclass(frozen=True, eq=False)
+class Steady:
+    """The steady state of all records.
+
+    Attributes
+    ----------
+    rates : array (n_frequencies,)
+        [rad/s].
+    motions : complex array (n_records, n, n_frequencies)
+        Phasors of the sensors.
+    forces : complex array (n_records, r, n_frequencies)
+    deviations : array (n_records, n)
+        Of the real and of the imaginary part of a sensor's phasor.
+    """
+
+    rates: Floats
+    motions: Complexes
+    forces: Complexes
+    deviations: Floats
+
+
+def blind_measured(
+    data: Record | Sequence[Record],
+    n_dof: int,
+    *,
+    input_frequencies_hz: Sequence[float] | None = None,
+    hold: str = "band_limited",
+    mass: ArrayLike | None = None,
+    progress: Progress | None = None,
+) -> BlindFit:
+    """Return 𝒦, 𝒟 and ℬ = M⁻¹B from the response to measured periodic forces.
+
+    Parameters
+    ----------
+    data : Record or sequence of Record
+        Inputs are the forces.
+    n_dof : int
+    input_frequencies_hz : sequence of float, optional
+        All of the force; read from the inputs when left out.
+    hold : "zoh", "foh" or "band_limited"
+    mass : float, array (n_dof,) or (n_dof, n_dof), optional
+
+    Returns
+    -------
+    BlindFit
+        Without a transient too, if there are at least n + r / 2 frequencies of r forces.
+    """
+    records = [data] if isinstance(data, Record) else list(data)
+    hertz = _frequencies(records, input_frequencies_hz)
+    sensors, signals = signals_of(records, n_dof, hertz.tolist())
+    growth = grow(signals, most_oscillations(signals), progress)
+    steady = _steady(growth.place, records)
+    transient, judged = _transient(growth.place, sensors)
+    if transient is None and 2 * len(hertz) < 2 * n_dof + records[0].n_inputs:
+        return _refused(sensors, *refusals.together(*judged))
+    start = _by_rows(steady, sensors.powers) if transient is None else transient[0]
+    joint = _joint(steady, sensors, hold, start, transient)
+    return _answer(sensors, records, joint, judged if transient else [], hertz, mass)
+
+
+def _frequencies(records: Sequence[Record], given: Sequence[float] | None) -> Floats:
+    if any(record.n_inputs == 0 for record in records):
+        raise OptionError("Measured forces are the inputs of the record; one has none.")
+    if given is not None:
+        return np.sort(np.asarray(given, dtype=np.float64))
+    inputs = tuple(np.asarray(record.inputs[:], dtype=np.float64) for record in records)
+    signals = Signals(inputs, records[0].dt, np.zeros(0))
+    growth = grow(signals, MOST_SINES)
+    if not growth.explained:
+        raise DataError(
+            "The measured forces are not a sum of a few sines; identify() takes any force."
+        )
+    found = growth.place.components
+    held = found.held(np.zeros(len(found), dtype=bool), 0.0)
+    rates = settle(Place(held, signals)).components.frequencies
+    return np.sort(rates) / (2 * np.pi)
+
+
+def _steady(place: Place, records: Sequence[Record]) -> Steady:
+    signals = place.signals
+    forces, deviations = [], []
+    for k, record in enumerate(records):
+        u = np.asarray(record.inputs[:], dtype=np.float64)
+        times = signals.dt * np.arange(len(u))
+        basis = signal_basis(signals.known / (2 * np.pi), times, offset=True)
+        weights = np.linalg.lstsq(basis, u, rcond=None)[0][1:]
+        forces.append((weights[0::2] - 1j * weights[1::2]).T)
+        deviations.append(np.sqrt(2 * place.noise(k) / len(u)))
+    motions = np.array([place.known_shapes(k) for k in range(len(records))])
+    return Steady(signals.known, motions, np.array(forces), np.array(deviations))
+
+
+def _transient(
+    place: Place, sensors: Sensors
+) -> tuple[tuple[Floats, Floats] | None, list[refusals.Judged]]:
+    """Return [𝒦 𝒟] and covariance from the decaying part, None where there is none."""
+    n = sensors.setting.n_dof
+    if not len(place.components):
+        return None, [refusals.of_certainty(np.zeros(0), n)]
+    division = divide(place, n)
+    certainty = refusals.of_certainty(division.certainty, n)
+    if int(division.modes.sum()) < n or any(each.rule == "R1" for each in certainty[1]):
+        return None, [certainty]
+    estimate = modal_estimate(division.place, division.modes, sensors.powers)
+    matrices = estimate.normalized()
+    return matrices, [certainty, refusals.of_matrices(matrices[0], estimate.condition())]
+
+
+def _by_rows(steady: Steady, powers: NDArray[np.int64]) -> Floats:
+    """Return [𝒦 𝒟] by least squares of 𝒦q + 𝒟q̇ − ℬu = −q̈ on the steady state, row by row."""
+    s = 1j * steady.rates
+    q = np.hstack(list(steady.motions / s ** powers[:, None]))
+    s = np.tile(s, len(steady.motions))
+    u = np.hstack(list(steady.forces))
+    A = np.vstack([q, s * q, -u]).T
+    wanted = (-(s**2) * q).T
+    both = [np.concatenate([each.real, each.imag]) for each in (A, wanted)]
+    size = np.linalg.norm(both[0], axis=0)
+    found = np.linalg.lstsq(both[0] / size, both[1], rcond=None)[0] / size[:, None]
+    return np.asarray(found[: 2 * len(powers)].T)
+
+
+@dataclass(frozen=True, eq=False)
+class Joint:
+    """The joint fit."""
+
+    P: Floats
+    B: Floats
+    covariance: Floats
+    misfit: float
+
+
+def _joint(
+    steady: Steady,
+    sensors: Sensors,
+    hold: str,
+    start: Floats,
+    transient: tuple[Floats, Floats] | None,
+) -> Joint:
+    """Return the weighted least squares of both parts, by Gauss-Newton."""
+    from scipy.optimize import least_squares  # slow to import, and used only here
+
+    n, r = sensors.setting.n_dof, steady.forces.shape[1]
+    respond = _responder(steady, sensors, hold)
+    B = _inputs(respond(start), steady)
+    prior = None if transient is None else _whitener(transient[1])
+
+    def errors(x: Floats) -> Floats:
+        P, B = x[: 2 * n * n].reshape(2 * n, n).T, x[2 * n * n :].reshape(r, n).T
+        made = respond(P) @ (B @ steady.forces).transpose(0, 2, 1)[..., None]
+        off = (made[..., 0].transpose(0, 2, 1) - steady.motions) / steady.deviations[:, :, None]
+        parts = [off.real.ravel(), off.imag.ravel()]
+        if prior is not None and transient is not None:
+            change = (P - transient[0]).ravel(order="F")
+            parts.append(sla.solve_triangular(prior, change, lower=True))
+        return np.concatenate(parts)
+
+    x = np.concatenate([start.ravel(order="F"), B.ravel(order="F")])
+    scale = np.concatenate(
+        [np.repeat(np.linalg.norm(part), part.size) for part in _thirds(start, B)]
+    )
+    found = least_squares(lambda z: errors(z * scale), x / scale, method="lm", xtol=1e-12)
+    J = found.jac / scale
+    size = np.linalg.norm(J, axis=0)
+    V = np.linalg.pinv((J / size).T @ (J / size), hermitian=True) / size / size[:, None]
+    values = found.x * scale
+    freedom = max(len(found.fun) - len(x), 1)
+    return Joint(
+        values[: 2 * n * n].reshape(2 * n, n).T,
+        values[2 * n * n :].reshape(r, n).T,
+        V[: 2 * n * n, : 2 * n * n],
+        float(2 * found.cost / freedom),
+    )
+
+
+def _thirds(P: Floats, B: Floats) -> tuple[Floats, Floats, Floats]:
+    return P[:, : len(P)], P[:, len(P) :], B
+
+
+def _whitener(covariance: Floats) -> Floats:
+    size = np.sqrt(np.diag(covariance))
+    unit = covariance / size / size[:, None] + SINGULAR * np.eye(len(size))
+    return np.asarray(size[:, None] * sla.cholesky(unit, lower=True))
+
+
+def _responder(steady: Steady, sensors: Sensors, hold: str) -> Callable[[Floats], Complexes]:
+    """Return the function from [𝒦 𝒟] to G (n_frequencies, n, n)."""
+    n, powers, s = sensors.setting.n_dof, sensors.powers, 1j * steady.rates[:, None, None]
+
+    def smooth(P: Floats) -> Complexes:
+        stiffness = s**2 * np.eye(n) + s * P[:, n:] + P[:, :n]
+        return np.asarray(s ** powers[:, None] * np.linalg.inv(stiffness))
+
+    def held(P: Floats) -> Complexes:
+        system = normalized_system(P[:, :n], P[:, n:], powers)
+        discrete = system.to_discrete(sensors.setting.dt, hold)
+        return np.asarray(discrete.frequency_response(steady.rates / (2 * np.pi)))
+
+    return smooth if hold == "band_limited" else held
+
+
+def _inputs(G: Complexes, steady: Steady) -> Floats:
+    """Return ℬ by least squares of M⁻¹f on the measured forces."""
+    f = np.hstack([np.linalg.solve(G, c.T[..., None])[..., 0].T for c in steady.motions])
+    u = np.hstack(list(steady.forces))
+    both = [np.hstack([each.real, each.imag]) for each in (u, f)]
+    return np.asarray(np.linalg.lstsq(both[0].T, both[1].T, rcond=None)[0].T)
+
+
+def _refused(
+    sensors: Sensors, checks: Mapping[str, float], refused: tuple[Refusal, ...]
+) -> BlindFit:
+    setting, n = sensors.setting, sensors.setting.n_dof
+    unknown = np.full((n, n), np.nan)
+    none = modes_from(np.zeros(0, complex), np.zeros((n, 0), complex), setting)
+    determined = {"normalized_stiffness": False, "normalized_damping": False}
+    missing = ("a transient, or at least n + r / 2 frequencies of r forces",)
+    verdict = BlindVerdict("none", determined, missing, checks, refused, sensors.findings)
+    return blind_fit(setting, unknown, unknown, none, verdict)
+
+
+def _answer(
+    sensors: Sensors,
+    records: Sequence[Record],
+    joint: Joint,
+    judged: Sequence[refusals.Judged],
+    hertz: Floats,
+    mass: ArrayLike | None,
+) -> BlindFit:
+    setting, n = sensors.setting, sensors.setting.n_dof
+    further = refusals.of_deviations(joint.P, joint.covariance)
+    checks, refused = refusals.together(*judged, further, _of_misfit(joint.misfit))
+    damping = checks["damping_deviation"] <= refusals.DAMPING
+    inputs = np.vstack([np.asarray(record.inputs[:], dtype=np.float64) for record in records])
+    A = np.block([[np.zeros((n, n)), np.eye(n)], [-joint.P]])
+    poles, vectors = np.linalg.eig(A)
+    up = poles.imag > 0
+    determined = {
+        "normalized_stiffness": True,
+        "normalized_damping": damping,
+        "normalized_force": True,
+        "normalized_input": True,
+    }
+    return blind_fit(
+        setting,
+        joint.P[:, :n],
+        joint.P[:, n:] if damping else np.full((n, n), np.nan),
+        modes_from(poles[up], vectors[:n, up], setting),
+        BlindVerdict("periodic", determined, (), checks, refused, sensors.findings),
+        covariance=joint.covariance,
+        force=inputs @ joint.B.T,
+        input_frequencies_hz=hertz,
+        normalized_input=joint.B,
+        mass=mass,
+        diagnostics=Diagnostics({"misfit": joint.misfit}),
+    )
+
+
+def _of_misfit(misfit: float) -> refusals.Judged:
+    checks = {"joint_misfit": misfit}
+    if misfit <= MISFIT:
+        return checks, []
+    sentence = (
+        f"Transient and steady state do not go together: χ² is {misfit:.3g} per degree of freedom "
+        f"(limit {MISFIT:g})."
+    )
+    cure = "Check hold= and the units and delays of the forces."
+    return checks, [Refusal("R4", sentence, cure, {"joint_misfit": misfit, "limit": MISFIT})]

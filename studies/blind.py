@@ -240,13 +240,16 @@ ANSWERS = """
 | any force at some DOFs (`point`) | free rows, where the forces act | no free row |
 | base motion not measured (`base`) | storeys above the first | k₁, always |
 | ambient, as the user says (`ambient`) | M⁻¹K | R6 |
-| in the band, on every DOF | – | always: it explains any M⁻¹K and M⁻¹D |
+| on every DOF, modes outside `force_band=` | M⁻¹K, M⁻¹D, force | R1, a mode in the band |
+| in the band of the modes, on every DOF | – | always: it explains any M⁻¹K and M⁻¹D |
 """
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--runs", type=int, default=RUNS, help="runs per cell of the grid")
+    parser.add_argument(
+        "--runs", "--seeds", type=int, default=RUNS, help="runs per cell of the grid"
+    )
     parser.add_argument("--minutes", type=float, default=np.inf, help="stop after this long")
     parser.add_argument("--rows", type=Path, default=ROWS, help="file of finished runs")
     parser.add_argument("--output", type=Path, default=PAGE, help="page to write")

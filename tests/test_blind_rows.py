@@ -11,7 +11,8 @@ from blind_records import Case, off, under_noise, uniform_chain
 import vibrid as vb
 from vibrid.blind import blind_rows, identify_blind
 from vibrid.blind.closure import close_rows
-from vibrid.blind.weak_rows import ramp_window, regress_rows, spectra_of, windowed_motions
+from vibrid.blind.weak_rows import regress_rows
+from vibrid.blind.windowed import ramp_window, spectra_of, windowed_motions
 
 BAND = (0.3, 8.0)
 

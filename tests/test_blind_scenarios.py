@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
 from blind_records import (
@@ -17,6 +19,7 @@ from blind_records import (
 
 import vibrid as vb
 from vibrid.blind import identify_blind
+from vibrid.errors import OptionError
 from vibrid.excitation import coloured_noise
 from vibrid.structures import chain
 
@@ -139,6 +142,50 @@ def test_a_force_free_stretch_is_a_decay(rng: np.random.Generator) -> None:
     found = identify_blind(vb.Record(y, dt=DT), 3, force_free=(10.1, 20.0))
     assert found.accepted and found.verdict.kind == "decay"
     assert off(found.normalized_stiffness, case.stiffness) < 1e-8
+
+
+def test_a_force_outside_the_modes(rng: np.random.Generator) -> None:
+    """Random forces on every DOF from 6 to 10 Hz: their band, if given, tells the modes below."""
+    case = under_noise(
+        REFERENCE, [0, 1, 2], duration=16.0, snr_db=60, rng=rng, band_hz=(6.0, 10.0), dt=DT
+    )
+    assert not identify_blind(case.record, 3).accepted
+    found = identify_blind(case.record, 3, force_band=(5.9, 10.1))
+    assert found.accepted and found.verdict.kind == "out_of_band"
+    codes = [each.code for each in found.verdict.findings]
+    assert {"tried_periodic", "tried_point"} <= set(codes)
+    assert off(found.normalized_stiffness, case.stiffness) < 1e-2
+    assert off(found.normalized_force, case.force) < 0.1
+    published = identify_blind(case.record, 3, method="subspace", force_band=(5.9, 10.1))
+    np.testing.assert_array_equal(published.normalized_stiffness, found.normalized_stiffness)
+
+
+def test_a_force_among_the_modes_is_refused_with_its_band(rng: np.random.Generator) -> None:
+    """Its band changes nothing where it holds modes: the reason is said, and all attempts."""
+    record = many_lines(rng, 50.0)
+    found = identify_blind(record, 3, force_band=(0.2, 8.1))
+    assert not found.accepted and np.isnan(found.normalized_stiffness).all()
+    assert found.verdict.rule == "in_band"
+    assert "explains the record" in str(found.verdict)
+
+
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [
+        ({"excitation": "decay"}, "excitation='decay'"),
+        ({"excitation": "ambient"}, "excitation='ambient'"),
+        ({"force_free": (1.0, 2.0)}, "not both"),
+        ({"structure": "chain"}, "leave one out"),
+        ({"method": "subspace", "excitation": "point"}, "periodic forces and decays"),
+        ({"method": "subspace", "input_frequencies_hz": [1.0]}, "not both"),
+    ],
+)
+def test_a_band_that_nothing_heeds_is_refused(
+    options: dict[str, Any], said: str, rng: np.random.Generator
+) -> None:
+    """No option is passed over in silence."""
+    with pytest.raises(OptionError, match=said):
+        identify_blind(many_lines(rng, 50.0), 3, force_band=(0.3, 8.0), **options)
 
 
 def ambient(duration: float, rng: np.random.Generator) -> tuple[vb.Record, Case]:

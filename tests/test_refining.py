@@ -359,6 +359,52 @@ def test_order_by_elimination(rng: np.random.Generator) -> None:
     np.testing.assert_allclose(vb.modes_of(fit).damping_ratios, 0.01, rtol=0.1)
 
 
+def test_forces_unknown_to_elimination_are_not_fitted() -> None:
+    """Elimination fits the motion that unknown forces cause; then the plain order is kept."""
+    record = shaken(np.random.default_rng(5), 2000)
+    fit = vb.identify(record, refine=True)
+    figures = fit.diagnostics.figures
+    assert (fit.order, figures["refinement"]) == (4, "innovations")
+    assert "elimination went to order" in figures["choices"][-1]
+    assert len(figures["held_out_errors"]) == len(dict(figures["held_out_errors"]))
+    assert figures["elimination_orders"][0] > 12
+    np.testing.assert_allclose(vb.modes_of(fit).damping_ratios, 0.01, rtol=0.4)
+
+
+@pytest.mark.parametrize("order", ["auto", 4])
+def test_doubts_about_the_data_survive_refinement(order: int | str) -> None:
+    """A clipped channel is said with and without elimination, once."""
+    record = shaken(np.random.default_rng(0), 1500)
+    limit = record.outputs.std()
+    clipped = vb.Record(np.clip(record.outputs, -limit, limit), record.inputs, dt=DT)
+    found = vb.identify(clipped, order=order, refine=True).diagnostics.findings
+    assert [each.code for each in found].count("clipping") == 1
+
+
+def test_unstable_starts_are_judged_too(rng: np.random.Generator) -> None:
+    """A model that was left unstable is refined; it cannot itself be the choice."""
+    force, x = rng.standard_normal((600, 1)), np.zeros(601)
+    for k in range(600):
+        x[k + 1] = 1.003 * x[k] + force[k, 0]
+    record = vb.Record(x[:-1, None] + 0.5 * rng.standard_normal((600, 1)), force, dt=DT)
+    start = vb.identify(record, order=1, stability="ignore")
+    assert start.model.spectral_radius > 1
+    fit = refine(start, record)
+    assert fit.model.spectral_radius <= 1
+    assert fit.diagnostics.figures["refinement"] in ("innovations", "output_error")
+
+
+@pytest.mark.parametrize("drift", [0.0, 30.0])
+def test_modes_given_up_for_drifts_are_said(rng: np.random.Generator, drift: float) -> None:
+    """Two states cannot hold a mode and a large drift of two sensors: the mode is gone."""
+    record = shaken(rng, 3000, n_dof=1, inputs=0)
+    wander = drift * np.cumsum(rng.standard_normal((3000, 1)), axis=0)
+    start = started(record, 2, 20)
+    fit = refine(start, vb.Record(record.outputs + wander * record.outputs.std(), dt=DT))
+    codes = [each.code for each in fit.diagnostics.findings]
+    assert codes.count("modes-lost") == (drift > 0)
+
+
 def test_order_by_elimination_needs_inputs(rng: np.random.Generator) -> None:
     """Without inputs there is no simulation to rank modes by."""
     with pytest.raises(OptionError, match="needs inputs"):

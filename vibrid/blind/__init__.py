@@ -1,6 +1,7 @@
 """Blind identification: matrices in physical coordinates, and forces that were not measured."""
 
 from .choice import identify_blind
+from .finite_signal import blind_finite_signal
 from .input_estimation import estimate_input
 from .likelihood import blind_likelihood
 from .point import blind_rows
@@ -11,6 +12,7 @@ __all__ = [
     "BlindFit",
     "BlindVerdict",
     "Refusal",
+    "blind_finite_signal",
     "blind_likelihood",
     "blind_rows",
     "blind_subspace",

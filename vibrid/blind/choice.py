@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 from numpy.typing import ArrayLike
@@ -12,6 +12,7 @@ from ..fit import Finding
 from ..physical import Topology
 from ..record import Record
 from .ambient import blind_ambient
+from .finite_signal import blind_finite_signal
 from .likelihood import blind_likelihood, blind_measured
 from .likelihood.search import Progress
 from .point import blind_rows
@@ -20,6 +21,7 @@ from .subspace import blind_subspace
 
 EXCITATIONS = ("auto", "periodic", "point", "base", "ambient", "decay")
 METHODS = ("ml", "subspace")
+TRIED = {"periodic": "A periodic force was", "point": "A force at some DOFs only was"}
 
 
 def identify_blind(
@@ -51,9 +53,11 @@ def identify_blind(
         "periodic": a few sines anywhere, seen with a transient. "decay": none, after an impact
         or a stop. "point": any force, at some DOFs only. "base": base motion that was not
         measured, floors in absolute acceleration. "ambient": broadband on every DOF, which is
-        an assumption and never chosen by itself. "auto" tries periodic and decay, then point.
+        an assumption and never chosen by itself. "auto" tries periodic and decay, then point,
+        then, where `force_band` is given, any force on every DOF with the modes outside it.
     method : "ml" or "subspace"
-        Maximum likelihood, or the published subspace method (periodic forces and decays).
+        Maximum likelihood, or the published subspace method (periodic forces and decays; with
+        `force_band` a force that is not periodic, see `blind_finite_signal`).
     input_frequencies_hz : sequence of float, optional
         Of a periodic force, all of them.
     hold : "band_limited", "zoh" or "foh"
@@ -65,7 +69,8 @@ def identify_blind(
     shapes : "auto", "free" or "real"
         Real shapes, those of proportional damping, make 𝒟 far more certain.
     force_band : (low, high), optional
-        Band of a point force or base motion [Hz].
+        Band [Hz] that holds all of a force that is not periodic. At some DOFs it may hold the
+        modes too; on every DOF it must not, and a mode within it is refused ("in_band").
     force_free : (start, stop), optional
         A stretch without any force [s], taken as a decay.
     ungrounded : sequence of str
@@ -95,11 +100,15 @@ def identify_blind(
     records = [data] if isinstance(data, Record) else list(data)
     measured = all(record.n_inputs for record in records) and excitation in ("auto", "periodic")
     _check_unused(excitation, method, measured, structure, shapes)
+    if force_band is not None:
+        _check_band(excitation, measured and method == "ml", structure, force_free)
     if force_free is not None:
         if excitation not in ("auto", "decay"):
             raise OptionError(f"force_free is a decay; it does not go with {excitation!r}.")
         records, excitation = [each.between(*force_free) for each in records], "decay"
     if method == "subspace":
+        if force_band is not None and excitation == "auto":
+            return _limited(records, n_dof, force_band, input_frequencies_hz, mass)
         return _subspace(records, n_dof, excitation, input_frequencies_hz, hold, mass)
     if excitation == "ambient":
         return blind_ambient(
@@ -129,9 +138,31 @@ def identify_blind(
         progress=progress,
     )
     unexplained = any(each.rule == "R4" for each in found.verdict.refusals)
-    if excitation != "auto" or not unexplained or n_dof == 1 or structure is not None:
+    if excitation != "auto" or not unexplained or structure is not None:
         return found
-    return _after(blind_rows(records, n_dof, **place), found)  # type: ignore[arg-type]
+    tried = {"periodic": found}
+    if n_dof > 1:  # else no row is free of force
+        found = tried["point"] = blind_rows(records, n_dof, **place)  # type: ignore[arg-type]
+    if not found.accepted and force_band is not None and len(records) == 1:
+        found = blind_finite_signal(records[0], n_dof, force_band=force_band, mass=mass)
+    return _after(found, {name: each for name, each in tried.items() if each is not found})
+
+
+def _check_band(
+    excitation: str, measured: bool, structure: object, force_free: tuple[float, float] | None
+) -> None:
+    """Refuse the band of a force where nothing would heed it."""
+    if force_free is not None:
+        raise OptionError("Give force_band or force_free, not both.")
+    if excitation not in ("auto", "point", "base"):
+        raise OptionError(f"force_band is not used with excitation={excitation!r}; leave it out.")
+    if measured:
+        raise OptionError(
+            "force_band is not used with measured forces; leave it out, or them with "
+            "select(inputs=[])."
+        )
+    if structure is not None:
+        raise OptionError("structure= is not used with force_band; leave one out.")
 
 
 def _check_unused(
@@ -187,16 +218,28 @@ def _subspace(
     )
 
 
-def _after(rows: BlindFit, periodic: BlindFit) -> BlindFit:
-    """Return the second attempt, with what became of the first."""
-    tried = "; ".join(str(each) for each in periodic.verdict.refusals)
-    first = Finding("tried_periodic", "note", f"A periodic force was tried first: {tried}")
-    verdict = replace(
-        rows.verdict,
-        refusals=(
-            *rows.verdict.refusals,
-            *(periodic.verdict.refusals if not rows.accepted else ()),
-        ),
-        findings=(*rows.verdict.findings, first),
-    )
-    return replace(rows, verdict=verdict)
+def _limited(
+    records: Sequence[Record],
+    n_dof: int,
+    force_band: tuple[float, float],
+    input_frequencies_hz: Sequence[float] | None,
+    mass: ArrayLike | None,
+) -> BlindFit:
+    """Return the answer of a force that is not periodic, by its band."""
+    if input_frequencies_hz is not None:
+        raise OptionError("Give force_band or input_frequencies_hz, not both.")
+    record = _only(records, "method='subspace'")
+    return blind_finite_signal(record, n_dof, force_band=force_band, mass=mass)
+
+
+def _after(found: BlindFit, tried: Mapping[str, BlindFit]) -> BlindFit:
+    """Return the last attempt, with what became of the earlier ones."""
+    refusals, findings = list(found.verdict.refusals), list(found.verdict.findings)
+    for name, each in tried.items():
+        why = "; ".join(map(str, each.verdict.refusals))
+        findings.append(Finding(f"tried_{name}", "note", f"{TRIED[name]} tried first: {why}"))
+        if not found.accepted:
+            refusals += each.verdict.refusals
+    refusals.sort(key=lambda each: each.rule != "in_band")  # first what says why none can tell
+    verdict = replace(found.verdict, refusals=tuple(refusals), findings=tuple(findings))
+    return replace(found, verdict=verdict)

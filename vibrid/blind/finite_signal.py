@@ -158,7 +158,7 @@ def _outside(
 
 def _with_reason(refused: BlindFit) -> BlindFit:
     """Return a refusal with the likely reason: a mode in the band is taken for force."""
-    words = "Or a mode lies in the force's band, and no data tell it from the force."
+    words = "A mode may lie in the force's band, where no data tell it from the force."
     verdict = refused.verdict
     more = (*verdict.refusals, Refusal("in_band", words, CURE))
     return replace(refused, verdict=replace(verdict, refusals=more))

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from ..modes import Complexes
 from ..record import Floats
-from .weak_rows import windowed_motions
+from .windowed import windowed_motions
 
 NOISY = 0.2  # share of the force's power that noise may have
 RISING = 10.0  # towards low frequency, of a power that is a window's leakage

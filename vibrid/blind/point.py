@@ -17,7 +17,8 @@ from .forces import InverseForce, inverse_force
 from .likelihood.data import signals_of
 from .result import BlindFit, BlindVerdict, Refusal, Setting, blind_fit, modes_from
 from .sensors import Sensors
-from .weak_rows import Rows, Spectra, regress_rows, spectra_of
+from .weak_rows import Rows, regress_rows
+from .windowed import Spectra, spectra_of
 
 GROUND = (
     "the ground spring (k₁) under unmeasured base motion: floors alone can never tell it; measure "

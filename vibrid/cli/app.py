@@ -222,6 +222,8 @@ def blind(
     file
         A record (CSV, text, NPY, NPZ, MAT, HDF5, UFF 58, WAV, TDMS).
     """
+    if results.save is not None:
+        raise OptionError("--save is for models; keep a blind identification with --json.")
     content = reading.read(file)
     if not isinstance(content, Record):
         raise DataError(

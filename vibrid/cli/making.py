@@ -107,7 +107,11 @@ class Blind:
         str, help_of("auto, free, or real (proportional damping: D is then far more certain).")
     ] = "auto"
     force_band: Annotated[
-        Names, help_of("Band of a point force or base motion [Hz], low,high.")
+        Names,
+        help_of(
+            "Band of a force that is not periodic [Hz], low,high: modes may lie in it where some "
+            "DOFs are not forced. Default: as the record shows."
+        ),
     ] = ()
     force_free: Annotated[Names, help_of("A stretch without force [s], start,stop.")] = ()
     ungrounded: Annotated[

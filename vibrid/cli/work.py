@@ -29,6 +29,7 @@ STEPS = {
     "complete": "Completing the model",
     "eliminate": "Removing modes one by one",
     "refine": "Refining",
+    "oscillations": "Finding modes and forces",
     "score": "Scoring the model",
 }
 

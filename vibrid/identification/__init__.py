@@ -78,7 +78,8 @@ def identify(
     refine : bool
         Improve the model by maximum likelihood, see `refine`; with inputs and order "auto"
         the order comes from elimination: modes of a model with too many are removed one by
-        one, what is left refined and scored on unseen halves.
+        one, what is left refined and scored on unseen halves, against the order found
+        without.
     progress : callable (what, done, total), optional
         Called now and then during long work.
 
@@ -153,20 +154,19 @@ def assess_unseen(record: Record, fit: Fit, share: float = 0.25) -> Assessment |
     """Score the fit's method and order on data they have not seen.
 
     Identifies the first part of the record again with the method's options and order as
-    chosen, and scores the last `share` of it. None where a part is too short for that.
+    chosen, refines it where the fit was refined, and scores the last `share` of it. None where
+    a part is too short for that.
     """
     cut = round((1 - share) * record.n_samples)
     offset = fit.gram.offset if fit.gram is not None else "estimate"
     mask = fit.feedthrough.tolist()
+    part, form = record.slice(0, cut), fit.diagnostics.figures.get("refinement", "none")
     try:
         twin = identify(
-            record.slice(0, cut),
-            fit.method,
-            fit.order,
-            offset=offset,
-            feedthrough=mask,
-            stability="project",
+            part, fit.method, fit.order, offset=offset, feedthrough=mask, stability="project"
         )
+        if form != "none":
+            twin = refined(twin, open_stream(part, offset), noise=form)
         return assess_last(twin, record, cut)
     except (DataError, OptionError):
         return None

@@ -10,12 +10,14 @@ import numpy as np
 
 from ..chunks import Stream
 from ..errors import DataError, OptionError
-from ..fit import Fit
+from ..fit import Finding, Fit
 from ..methods.preparation import check_length
 from ..refinement import Elimination, Search, eliminate, held_out_curve, refine_output_error
 from ..scores import start_samples
+from .choice import choose
+from .finishing import finish
 from .held_out import GRID, halves_of, scored_segments, unseen_error
-from .noise_forms import Progress, explained
+from .noise_forms import LARGEST_PREDICTOR, Progress, by_folds, explained
 from .stability import settle
 
 Mask = bool | Sequence[bool] | None
@@ -25,6 +27,7 @@ LONGEST_OVER = 60  # block rows of it
 OVER_ORDER = 44
 SAMPLES_PER_STATE = 20  # at least, of the model with too many modes
 ENOUGH = 1.02  # of the smallest error: what a smaller order may cost
+SIMPLER = 1.05  # of its error: what fewer states, found without elimination, may cost
 WORTH = 1.6  # of the smallest error before refinement: orders beyond are not refined
 FINE = range(28, OVER_ORDER + 1, 2)  # orders tried beside those of the grid
 QUICK = 2  # steps of the search that ranks orders
@@ -37,7 +40,9 @@ def refined_order(
 
     A model with too many modes loses them one by one (`eliminate`); what is left is refined
     and scored on unseen halves. The smallest order within 2 % of the best is eliminated to on
-    all data, and refined.
+    all data, and refined. Where the predictor is not too large to be searched, the model that
+    identify() finds without elimination is refined too, in the better form of noise, and kept
+    if unseen halves say so.
 
     Parameters
     ----------
@@ -80,9 +85,15 @@ def refined_order(
     else:
         order, why = _by_cost(whole, stream)
     fit = refine_output_error(whole.at(order), stream, whole.search, progress)
-    form = "the order was found by simulation errors"
-    known = {"choices": (why,), "held_out_errors": np.array(sorted(curve.items()))}
-    return explained(fit, form, **known)
+    fit = explained(fit, "the order was found by simulation errors", choices=(why,))
+    if curve and order * (stream.n_inputs + stream.n_outputs + 2) <= LARGEST_PREDICTOR:
+        fit = _better(fit, curve[order], _rival(stream, method, feedthrough, report))
+    figures = {
+        "held_out_errors": np.array(sorted(curve.items())),
+        "elimination_orders": whole.orders,
+        "elimination_costs": whole.costs,
+    }
+    return replace(fit, diagnostics=fit.diagnostics.joined(figures))
 
 
 def _eliminated(stream: Stream, method: Any, feedthrough: Mask) -> Elimination:
@@ -91,7 +102,46 @@ def _eliminated(stream: Stream, method: Any, feedthrough: Mask) -> Elimination:
     decomposition = option.decompose(stream, feedthrough=feedthrough)
     order = min(OVER_ORDER, decomposition.largest_order, _most_states(stream))
     fit = settle(option.realize(decomposition, order), "project", option, decomposition)
-    return eliminate(replace(fit, method=method), stream, Search(weights="balanced", drift=DRIFT))
+    fit = _with(replace(fit, method=method), decomposition.findings)
+    return eliminate(fit, stream, Search(weights="balanced", drift=DRIFT))
+
+
+def _with(fit: Fit, findings: Sequence[Finding]) -> Fit:
+    """Return the fit with these findings, each once."""
+    more = [each for each in findings if each not in fit.diagnostics.findings]
+    return replace(fit, diagnostics=fit.diagnostics.joined({}, more))
+
+
+def _rival(stream: Stream, method: Any, feedthrough: Mask, report: Progress) -> Fit | None:
+    """Return the refinement of what is identified without elimination, if it can be judged.
+
+    Elimination sees simulations only: where much noise drives the structure, its smallest
+    errors are at orders that fit this noise, and the innovations form does better.
+    """
+    choice = choose(stream, method, "auto", feedthrough, report)
+    start = finish(choice.method, choice.decomposition, choice.order, stream, "project")
+    fit = by_folds(start, stream, report)
+    if "refinement_errors" not in fit.diagnostics.figures:
+        return None
+    fit = replace(fit, diagnostics=fit.diagnostics.joined({"choices": choice.reasons}))
+    return _with(fit, choice.decomposition.findings)
+
+
+def _better(fit: Fit, error: float, rival: Fit | None) -> Fit:
+    """Return the rival where it simulates unseen halves better, or as well with fewer states."""
+    if rival is None:
+        return fit
+    known = rival.diagnostics.figures
+    other = known["refinement_errors"][known["refinement"]]
+    if rival.order == fit.order and known["refinement"] == fit.diagnostics.figures["refinement"]:
+        return fit
+    if other > (SIMPLER if rival.order < fit.order else 1.0) * error:
+        return fit
+    why = (
+        f"elimination went to order {fit.order}, which simulates unseen halves with "
+        f"{100 * error:.3g} %: order {rival.order} as identified, refined, with {100 * other:.3g} %"
+    )
+    return explained(rival, known["refinement_reason"], choices=(*known["choices"], why))
 
 
 def _over(method: Any, stream: Stream) -> Any:

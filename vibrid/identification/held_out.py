@@ -7,6 +7,7 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ..chunks import Segment, Stream
 from ..errors import DataError
@@ -114,10 +115,13 @@ def unseen_error(fit: Fit, unseen: Stream, skipped: int, *, predicts: bool = Fal
     """Return the relative error of simulation, or of prediction, on data a fit has not seen.
 
     The samples that initial states may take, the first `skipped` of a segment, do not count.
+    Infinite for an unstable model.
     """
+    if not is_stable(fit):
+        return np.inf
     run = fit.predict if predicts else fit.simulate_record
     measured, modelled = [], []
-    offsets = fit.diagnostics.figures["record_offsets"]
+    offsets = _offsets_of(fit, unseen)
     for segment in scored_segments(unseen, skipped):
         piece = unseen.records[segment.record].slice(segment.start, segment.stop)
         offset = offsets[segment.record]
@@ -126,3 +130,11 @@ def unseen_error(fit: Fit, unseen: Stream, skipped: int, *, predicts: bool = Fal
     each = fit_percent(np.vstack(measured), np.vstack(modelled))
     moving = np.isfinite(each)  # an output that rests in this half says nothing
     return float(1 - each[moving].mean() / 100) if moving.any() else np.inf
+
+
+def _offsets_of(fit: Fit, stream: Stream) -> NDArray[np.float64]:
+    """Return the offsets of each record; the fit's own where it is not of these records."""
+    known = fit.diagnostics.figures.get("record_offsets")
+    if known is None or len(known) != len(stream.records):
+        return np.tile(fit.output_offset, (len(stream.records), 1))
+    return np.asarray(known)

@@ -139,7 +139,7 @@ def by_folds(fit: Fit, stream: Stream, progress: Progress | None) -> Fit:
         return _by_simulation(fit, stream, progress)
     form, why = _preferred(errors, predicted)
     if form == "none":
-        return explained(fit, why, refinement="none", **known)
+        return explained(fit, why, refinement="none", iterations=0, converged=True, **known)
     return explained(best_of_starts(form, fit, stream, progress), why, **known)
 
 

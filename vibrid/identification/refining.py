@@ -3,17 +3,24 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
 
 from ..chunks import Stream, open_stream
-from ..errors import OptionError, check_choice
-from ..fit import Fit
+from ..errors import DataError, OptionError, check_choice
+from ..fit import Finding, Fit
+from ..modes import match_modes, modes_of
 from ..record import Record
 from .eliminating import refined_order
+from .finishing import LIGHT_DAMPING
 from .noise_forms import FORMS, Progress, best_of_starts, by_folds, explained
 
 __all__ = ["refine", "refined", "refined_order"]
 
 NOISES = ("auto", *FORMS)
+TIMES = 2.0  # damping that changes by more is another mode's
+LOST = 0.5  # share of the lightly damped modes that may be
 
 
 def refine(
@@ -47,9 +54,10 @@ def refine(
     -------
     Fit
         `diagnostics.figures` hold "refinement" ("output_error", "innovations" or "none"),
-        "refinement_reason", "iterations", "converged", "start_cost", "cost" (mean squares of
-        the simulation errors over the variances found, or ln det of the prediction errors'
-        covariance over the outputs' variances), and standard deviations "frequencies_std"
+        "refinement_reason", "iterations", "converged"; unless that is "none" also "start_cost",
+        "cost" (mean squares of the simulation errors over the variances found, or ln det of
+        the prediction errors' covariance over the outputs' variances) and the standard
+        deviations "frequencies_std"
         [Hz], "damping_std" (n_modes,) and "shapes_std" (n_outputs, n_modes) in the order of
         `modes_of`. `parameter_covariance` is that of the coefficients of each pair's
         q² + a₁ q + a₂ (q + a₁ for a real pole).
@@ -98,9 +106,39 @@ def refined(
             'of a free decay, or noise="innovations".'
         )
     if noise != "auto":
-        return explained(best_of_starts(noise, fit, stream, progress), "as asked for")
+        better = best_of_starts(noise, fit, stream, progress)
+        return explained(better if stream.n_inputs else _compared(fit, better), "as asked for")
     if not stream.n_inputs:
         form = "innovations" if ambient else "output_error"
         why = "noise drives these outputs" if ambient else "these outputs are free decays"
-        return explained(best_of_starts(form, fit, stream, progress), why)
+        return explained(_compared(fit, best_of_starts(form, fit, stream, progress)), why)
     return by_folds(fit, stream, progress)
+
+
+def _compared(start: Fit, fit: Fit) -> Fit:
+    """Return the refined fit, with a warning where most lightly damped modes are gone.
+
+    Drifts and coloured noise that the model has too few states for take over its poles: they
+    hold more of what can be predicted than the modes do.
+    """
+    try:
+        first, second = modes_of(start), modes_of(fit)
+    except DataError:  # a pole at zero has no frequency
+        return fit
+    light = first.damping_ratios < LIGHT_DAMPING
+    pairs = match_modes(first, second)
+    ratio = second.damping_ratios[pairs[:, 1]] / first.damping_ratios[pairs[:, 0]]
+    kept = pairs[(ratio > 1 / TIMES) & (ratio < TIMES), 0]
+    gone = int(light.sum() - light[np.unique(kept)].sum())
+    if gone <= LOST * light.sum():
+        return fit
+    finding = Finding(
+        "modes-lost",
+        "warning",
+        f"{gone} of {int(light.sum())} lightly damped modes of the start are gone, or their "
+        f"damping has changed {TIMES:g} times: the predictions gained more from poles of drifts "
+        "or coloured noise.",
+        "Believe the model before refinement, or filter the record to the modes' band, or give "
+        "a larger order.",
+    )
+    return replace(fit, diagnostics=fit.diagnostics.joined({}, [finding]))

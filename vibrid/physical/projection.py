@@ -125,7 +125,7 @@ def project(
     directions in the metric of the equations (ADMM; Boyd et al. 2011).
     """
     n = len(vectors)
-    spaces = [_space(x, n) for x in (topology.mass, topology.damping, topology.stiffness)]
+    spaces = [pattern_space(x, n) for x in (topology.mass, topology.damping, topology.stiffness)]
     if not np.diagonal(spaces[0].sum(axis=0)).all():
         raise OptionError(
             "The pattern of M must allow all of its diagonal: no DOF is without mass."
@@ -152,7 +152,19 @@ def project(
 Space = NDArray[np.float64]  # (n_parameters, n, n): the matrices that span
 
 
-def _space(pattern: Any, n: int) -> Space:
+def pattern_space(pattern: Any, n: int) -> Space:
+    """Return the symmetric matrices that span a pattern, one for each free entry.
+
+    Parameters
+    ----------
+    pattern : "symmetric", "diagonal", "chain" or symmetric array of bool (n, n)
+    n : int
+
+    Raises
+    ------
+    OptionError
+        A pattern of another name or shape.
+    """
     if isinstance(pattern, str):
         check_choice("a pattern of a Topology", pattern, PATTERNS)
         reach = {"symmetric": n, "diagonal": 0, "chain": 1}[pattern]

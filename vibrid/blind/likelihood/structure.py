@@ -8,7 +8,7 @@ import numpy as np
 import scipy.linalg as sla
 
 from ...errors import DataError
-from ...physical.projection import Topology, _space
+from ...physical.projection import Topology, pattern_space
 from ...record import Floats
 
 STEPS = 30
@@ -65,8 +65,8 @@ def constrain(
         The data do not determine the entries of this structure.
     """
     n = len(P)
-    springs = _space(topology.stiffness, n)
-    dampers = _space(topology.damping, n)
+    springs = pattern_space(topology.stiffness, n)
+    dampers = pattern_space(topology.damping, n)
     # rounding may leave the smallest eigenvalues negative; shifting them is nothing
     size = np.sqrt(np.diag(covariance))
     unit = covariance / size / size[:, None]

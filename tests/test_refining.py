@@ -20,6 +20,7 @@ from vibrid.kalman import spectral_radius
 from vibrid.record import Floats
 from vibrid.refinement import innovations
 from vibrid.refinement.place import starts_of
+from vibrid.refinement.result import fit_of
 from vibrid.scores import fit_percent, start_samples
 from vibrid.statespace import StateSpace
 from vibrid.structures import Structure, chain
@@ -120,7 +121,7 @@ def test_steps_are_those_of_the_full_parametrization(rng: np.random.Generator, i
     record = shaken(rng, inputs=inputs)
     place = place_of(started(record), record)
     # the same place in explicit form: C, D and offset are those that fit best
-    fit = innovations.fit_of(started(record), place, {})
+    fit = fit_of(started(record), place, {})
     _, gradient, inverse = explicit(fit, record)
     promised = _System(place).step(0.0)[1]
     assert promised == pytest.approx(gradient @ inverse @ gradient, rel=1e-4)

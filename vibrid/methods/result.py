@@ -13,6 +13,7 @@ from ..chunks import Stream
 from ..fit import Diagnostics, Finding, Fit
 from ..gram import PIVOT_LIMIT, BlockGram, Factor
 from ..kalman import spectral_radius
+from ..linalg import one_blas_thread
 from ..record import Floats
 from ..statespace import StateSpace
 
@@ -40,6 +41,27 @@ class Realization:
     def predictor_radius(self) -> float:
         """Spectral radius of A − K C."""
         return spectral_radius(self.A - self.K @ self.C)
+
+
+class Remembering:
+    """A decomposition that makes the model of each order once.
+
+    Scanning orders and then realizing one asks for the same models again.
+    """
+
+    def realize(self, order: int) -> Realization:
+        """Return the model of this order in the stream's scaled units."""
+        if order not in self._made:
+            with one_blas_thread():
+                self._made[order] = self._realized(order)
+        return self._made[order]
+
+    @cached_property
+    def _made(self) -> dict[int, Realization]:
+        return {}
+
+    def _realized(self, order: int) -> Realization:
+        raise NotImplementedError
 
 
 def as_fit(

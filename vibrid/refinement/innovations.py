@@ -21,10 +21,9 @@ from ..kalman import spectral_radius
 from ..linalg import one_blas_thread
 from ..record import Floats
 from ..varpro import LARGEST_POLE, Likely, Progress, descend, split_poles
-from .deviations import with_deviations
-from .output_error import SMALL_ERROR, Search, kept, output_variance, unfinished
+from .output_error import SMALL_ERROR, Search, ended, output_variance
 from .place import Errors, Place, errors_of, offsets_of, starts_of, sums_of
-from .result import fit_of, innovations_of, with_collinearity
+from .result import innovations_of
 
 PROMISE = 1e-3  # fall of −2 × log-likelihood: a full step that promises less ends the search
 
@@ -71,20 +70,7 @@ def refine_innovations(
         )
     start = _measure(before, stream) if before and allowed else _measure_of(first)
     reached = _measure_of(found.point)
-    figures = {
-        "refinement": "innovations",
-        "iterations": found.iterations,
-        "converged": found.converged,
-        "start_cost": start,
-        "cost": min(start, reached),
-    }
-    if allowed and start < reached:
-        return replace(fit, diagnostics=fit.diagnostics.joined(figures, [kept("predicts")]))
-    refined = with_collinearity(with_deviations(fit_of(fit, found.point, figures), found.point))
-    if found.converged:
-        return refined
-    doubt = unfinished(found.iterations)
-    return replace(refined, diagnostics=refined.diagnostics.joined({}, [doubt]))
+    return ended(fit, found, (start, reached), allowed, "innovations")
 
 
 def _start_of(fit: Fit, stream: Stream, starts: Floats) -> Prediction:

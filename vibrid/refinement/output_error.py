@@ -8,6 +8,7 @@ alone, independent between them, it is maximum likelihood.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import TypeVar
 
 import numpy as np
 
@@ -21,6 +22,7 @@ from .deviations import with_deviations
 from .place import Errors, Place, errors_of, place_of, starts_of
 from .result import fit_of, with_collinearity
 
+P = TypeVar("P", bound=Place)
 WEIGHTS = ("auto", "noise", "balanced")
 LIKELIHOOD_STEP = 1e-3  # of the log-likelihood: a full step that promises less ends the search
 LARGEST_SEARCH = 60  # steps
@@ -87,21 +89,28 @@ def refine_output_error(
     allowed = before is not None and _same_poles(fit, first)
     start = _measure(before.variance if before and allowed else first.variance, found.point)
     reached = _measure(found.point.variance, found.point)
+    return ended(fit, found, (start, reached), allowed, "output_error")
+
+
+def ended(fit: Fit, found: Descent[P], costs: tuple[float, float], allowed: bool, form: str) -> Fit:
+    """Return the model that a search ended at, or its start where that may stay and is better.
+
+    `costs` are those of the start and of the end.
+    """
+    start, reached = costs
     figures = {
-        "refinement": "output_error",
+        "refinement": form,
         "iterations": found.iterations,
         "converged": found.converged,
         "start_cost": start,
-        "cost": min(start, reached),
+        "cost": min(costs),
     }
     if allowed and start < reached:
-        return replace(fit, diagnostics=fit.diagnostics.joined(figures, [kept("simulates")]))
+        does = "predicts" if form == "innovations" else "simulates"
+        return replace(fit, diagnostics=fit.diagnostics.joined(figures, [kept(does)]))
     refined = with_collinearity(with_deviations(fit_of(fit, found.point, figures), found.point))
-    if found.converged:
-        return refined
-    return replace(
-        refined, diagnostics=refined.diagnostics.joined({}, [unfinished(found.iterations)])
-    )
+    doubts = [] if found.converged else [unfinished(found.iterations)]
+    return replace(refined, diagnostics=refined.diagnostics.joined({}, doubts))
 
 
 def start_of(

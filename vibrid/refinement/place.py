@@ -15,33 +15,17 @@ from ..linalg import one_blas_thread
 from ..record import Floats, rows_per_chunk
 from ..scores import initial_state, start_samples
 from ..statespace import Lifting
-from ..varpro import Blocks, Linear, Projected, SignalSums, Sums
+from ..varpro import Blocks, Linear, Projected, Projecting, SignalSums, Sums
 
 WILD = 1e4  # of the outputs' squares: errors of a guess beyond it would cost more than they save
 
 
 @dataclass(frozen=True, eq=False)
-class Place:
+class Place(Projecting):
     """A model that simulates, on its data: a point of the search."""
 
     stream: Stream
     projected: Projected
-
-    @property
-    def cost(self) -> float:
-        return self.projected.cost
-
-    @property
-    def gradient(self) -> Floats:
-        return self.projected.gradient
-
-    @property
-    def information(self) -> Floats:
-        return self.projected.information
-
-    @property
-    def neutral(self) -> Floats:
-        return self.projected.neutral
 
     @property
     def variance(self) -> Floats:

@@ -13,7 +13,7 @@ from rich.text import Text
 from ..blind import BlindFit
 from ..record import Floats
 from .as_json import plain
-from .words import add, heading, indented, line, number, plural, table
+from .words import add, findings_section, heading, indented, line, number, plural, table
 
 KINDS = {
     "periodic": "periodic forces, seen with a transient",
@@ -176,9 +176,4 @@ def _checks(fit: BlindFit) -> Iterator[RenderableType]:
 
 
 def _findings(fit: BlindFit) -> Iterator[RenderableType]:
-    if not fit.verdict.findings:
-        return
-    yield heading("Findings")
-    for finding in fit.verdict.findings:
-        style = "yellow" if finding.severity == "warning" else ""
-        yield line(f"{finding.severity}: {finding}", style)
+    return findings_section(fit.verdict.findings)

@@ -13,7 +13,7 @@ from rich.text import Text
 from ..physical import MechanicalModel, Rayleigh
 from ..record import Floats
 from .as_json import plain
-from .words import add, heading, indented, line, number, plural, table
+from .words import add, findings_section, heading, indented, line, number, plural, table
 
 KINDS = {
     "full": "all of M, R and K",
@@ -56,7 +56,7 @@ def describe_physical(model: MechanicalModel, law: Rayleigh | None = None) -> Gr
     """
     parts: list[RenderableType] = []
     sections = (_verdict(model), _matrices(model), _damping(model, law), _checks(model))
-    for section in (*sections, _findings(model)):
+    for section in (*sections, findings_section(model.verdict.findings)):
         lines = list(section)
         if lines:
             parts += [*lines, Text("")]
@@ -147,12 +147,3 @@ def _checks(model: MechanicalModel) -> Iterator[RenderableType]:
     for name, value in checks.items():
         add(made, CHECKS[name], number(100 * value, ".2g"))
     yield indented(made)
-
-
-def _findings(model: MechanicalModel) -> Iterator[RenderableType]:
-    if not model.verdict.findings:
-        return
-    yield heading("Findings")
-    for finding in model.verdict.findings:
-        style = "yellow" if finding.severity == "warning" else ""
-        yield line(f"{finding.severity}: {finding}", style)

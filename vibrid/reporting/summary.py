@@ -13,7 +13,7 @@ from rich.table import Table
 from rich.text import Text
 
 from ..files.survey import Survey
-from ..fit import Finding, Fit
+from ..fit import Fit
 from ..identification import Assessment
 from ..modes import ModeQuality, Modes, modes_of, quality_of
 from ..record import Channel, Floats
@@ -23,6 +23,8 @@ from .words import (
     add,
     change,
     channel_names,
+    finding_line,
+    findings_section,
     heading,
     indented,
     kinds,
@@ -99,8 +101,7 @@ def model_sections(fit: Fit) -> Iterator[RenderableType]:
         yield line(_real_poles(modes.real_poles))
     if findings:
         yield Text("")
-        yield heading("Findings")
-        yield from map(_finding, findings)
+        yield from findings_section(findings)
 
 
 def _read(outcome: Outcome) -> Iterator[RenderableType]:
@@ -285,7 +286,7 @@ def _fit(outcome: Outcome) -> Iterator[RenderableType]:
     if 1 < len(names) <= MOST_OUTPUTS:
         yield indented(_fit_table(names, shown))
     if outcome.unseen_finding is not None:
-        yield _finding(outcome.unseen_finding)
+        yield finding_line(outcome.unseen_finding)
 
 
 def _assessment(outcome: Outcome, assessment: Assessment) -> str:
@@ -316,17 +317,7 @@ def _fit_table(names: Sequence[str], shown: Sequence[Assessment]) -> Table:
 
 
 def _findings(outcome: Outcome) -> Iterator[RenderableType]:
-    findings = outcome.fit.diagnostics.findings
-    if not findings:
-        return
-    yield heading("Findings")
-    for finding in findings:
-        yield _finding(finding)
-
-
-def _finding(finding: Finding) -> RenderableType:
-    style = "yellow" if finding.severity == "warning" else ""
-    return line(f"{finding.severity}: {finding}", style)
+    return findings_section(outcome.fit.diagnostics.findings)
 
 
 def _saved(outcome: Outcome) -> Iterator[RenderableType]:

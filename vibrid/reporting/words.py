@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 
 from rich import box
+from rich.console import RenderableType
 from rich.padding import Padding
 from rich.table import Table
 from rich.text import Text
 
+from ..fit import Finding
 from ..record import Channel, Record
 
 NAMES_SHOWN = 6
@@ -118,3 +120,14 @@ def _kind(channel: Channel) -> str:
         return f"in {channel.unit}, quantity not stated" if channel.unit else "quantity not stated"
     quantity = channel.quantity.replace("_", " ")
     return f"{quantity} in {channel.unit}" if channel.unit else f"{quantity}, unit not stated"
+
+
+def finding_line(finding: Finding) -> Padding:
+    return line(f"{finding.severity}: {finding}", "yellow" if finding.severity == "warning" else "")
+
+
+def findings_section(findings: Sequence[Finding]) -> Iterator[RenderableType]:
+    """Yield a heading and a line for each finding; nothing where there is none."""
+    if findings:
+        yield heading("Findings")
+        yield from map(finding_line, findings)

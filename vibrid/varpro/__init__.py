@@ -11,7 +11,7 @@ from .deviations import (
 )
 from .filters import BlockFilter
 from .likelihood import SMALLEST_NOISE, Likely
-from .marquardt import Descent, Progress, descend
+from .marquardt import Descent, Progress, Projecting, descend
 from .projection import Linear, Projected, Sums
 from .removal import removals
 from .signals import SignalSums
@@ -27,6 +27,7 @@ __all__ = [
     "Linear",
     "Progress",
     "Projected",
+    "Projecting",
     "SignalSums",
     "Sums",
     "decays",

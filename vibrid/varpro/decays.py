@@ -13,7 +13,7 @@ from ..record import Floats
 from .blocks import Blocks, split_poles
 from .deviations import mode_deviations, pole_covariance
 from .likelihood import Likely
-from .marquardt import Progress, descend
+from .marquardt import Progress, Projecting, descend
 from .projection import Linear
 from .signals import SignalSums
 
@@ -62,27 +62,11 @@ class Decays:
 
 
 @dataclass(frozen=True, eq=False)
-class _Sum:
+class _Sum(Projecting):
     """A point of the search: blocks on the records."""
 
     records: tuple[Floats, ...]
     projected: Likely
-
-    @property
-    def cost(self) -> float:
-        return self.projected.cost
-
-    @property
-    def gradient(self) -> Floats:
-        return self.projected.gradient
-
-    @property
-    def information(self) -> Floats:
-        return self.projected.information
-
-    @property
-    def neutral(self) -> Floats:
-        return self.projected.neutral
 
     def pushed_out(self, step: Floats) -> NDArray[np.bool_]:
         return self.projected.pushed_out(step)

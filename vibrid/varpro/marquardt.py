@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Generic, Protocol, Self, TypeVar
+from typing import Any, Generic, Protocol, Self, TypeVar
 
 import numpy as np
 import scipy.linalg as sla
@@ -38,6 +38,28 @@ class Point(Protocol):
     def pushed_out(self, step: Floats) -> NDArray[np.bool_]:
         """Tell which parameters are at a bound that the step would cross."""
         ...
+
+
+class Projecting:
+    """A point whose cost and slopes are those of its `projected`."""
+
+    projected: Any
+
+    @property
+    def cost(self) -> float:
+        return float(self.projected.cost)
+
+    @property
+    def gradient(self) -> Floats:
+        return np.asarray(self.projected.gradient)
+
+    @property
+    def information(self) -> Floats:
+        return np.asarray(self.projected.information)
+
+    @property
+    def neutral(self) -> Floats:
+        return np.asarray(self.projected.neutral)
 
 
 P = TypeVar("P", bound=Point)

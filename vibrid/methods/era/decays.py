@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -14,10 +13,9 @@ from ...errors import DataError
 from ...fit import Diagnostics, Fit, feedthrough_mask
 from ...gram import BlockGram, Factor, factorize, reduce
 from ...kalman import STABLE_TO
-from ...linalg import one_blas_thread
 from ...record import Floats
 from ...statespace import StateSpace
-from ..result import Realization, as_fit, factor_findings, gain_findings
+from ..result import Realization, Remembering, as_fit, factor_findings, gain_findings
 from .evidence import NO_GAIN, NOISE_FREE, Evidence, information
 from .responses import Mask
 
@@ -27,7 +25,7 @@ DECAYED = 0.25  # energy of the last over that of the first quarter: amplitude h
 
 
 @dataclass(frozen=True, eq=False)
-class DecayModels(Evidence):
+class DecayModels(Remembering, Evidence):
     """Models of free decays: all Hankel columns of all segments, by their triangle.
 
     Attributes
@@ -66,18 +64,6 @@ class DecayModels(Evidence):
         sizes = np.square(self._rows[:, :p]).sum(axis=0) / self.n_columns
         spread = float(np.log(errors + NOISE_FREE**2 * sizes).sum())
         return information(spread, self.n_columns, parameters), model.radius <= STABLE_TO
-
-    def realize(self, order: int) -> Realization:
-        """Return the model of this order in the stream's scaled units."""
-        if order not in self._made:
-            with one_blas_thread():
-                self._made[order] = self._realized(order)
-        return self._made[order]
-
-    @cached_property
-    def _made(self) -> dict[int, Realization]:
-        # scanning orders and then realizing one asks for the same models again
-        return {}
 
     @property
     def _rows(self) -> Floats:

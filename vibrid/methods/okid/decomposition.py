@@ -14,10 +14,10 @@ from ...chunks import Stream
 from ...fit import Finding
 from ...gram import BlockGram
 from ...kalman import DETECTABLE, STABLE_TO, riccati_gain, spectral_radius
-from ...linalg import RANK_TOLERANCE, one_blas_thread, solve_upper
+from ...linalg import RANK_TOLERANCE, solve_upper
 from ...record import Floats
 from ..excitation_checks import data_findings
-from ..result import Realization
+from ..result import Realization, Remembering
 from .regression import NOISE_FREE, Regression
 
 Matrices = tuple[Floats, Floats, Floats, Floats]  # A, B, C, D
@@ -25,7 +25,7 @@ NO_NOISE = "none: no noise to learn it from"
 
 
 @dataclass(frozen=True, eq=False)
-class ObserverModels:
+class ObserverModels(Remembering):
     """The realized Hankel matrix of the Markov parameters, with all that a model needs.
 
     Attributes
@@ -113,18 +113,6 @@ class ObserverModels:
             return np.inf
         floor = NOISE_FREE**2 * np.diag(self.regression.output_sizes)
         return float(np.linalg.slogdet(model.innovation + floor)[1])
-
-    def realize(self, order: int) -> Realization:
-        """Return the model of this order in the stream's scaled units."""
-        if order not in self._made:
-            with one_blas_thread():
-                self._made[order] = self._realized(order)
-        return self._made[order]
-
-    @cached_property
-    def _made(self) -> dict[int, Realization]:
-        # scanning orders and then realizing one asks for the same models again
-        return {}
 
     def _realized(self, order: int) -> Realization:
         A, B, C = self.kernel.triplet(order)

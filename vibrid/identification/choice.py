@@ -95,7 +95,7 @@ def _with_order(
     for k, (option, decomposition) in enumerate(ranked):
         progress("orders", k, len(ranked))
         tried.append((option, decomposition, scan_orders(option, decomposition)))
-    decides = getattr(candidates[0][1], "criterion_decides", stream.n_inputs > 0)
+    decides = candidates[0][1].criterion_decides
     chosen = _best_of(tried, stream.n_outputs, decides, reasons)
     scan = chosen.scan
     if not stream.n_inputs or scan is None or scan.rank is not None or not scan.stable.any():

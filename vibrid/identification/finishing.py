@@ -46,8 +46,6 @@ def settled(method: Any, decomposition: Any, order: int, stability: str) -> Fit:
 
 def with_quality(fit: Fit, decomposition: Any) -> Fit:
     """Return the fit with how well the data's own factors agree with each mode."""
-    if not hasattr(decomposition, "factors"):
-        return fit
     quality = mode_quality(fit, *decomposition.factors(fit.order))
     return replace(fit, diagnostics=fit.diagnostics.joined(quality.as_figures()))
 

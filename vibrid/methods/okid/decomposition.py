@@ -54,6 +54,11 @@ class ObserverModels(Remembering):
         return (*data_findings(self.stream, self.gram), *self.remarks)
 
     @property
+    def criterion_decides(self) -> bool:
+        """There are always inputs."""
+        return True
+
+    @property
     def largest_order(self) -> int:
         return int(self.kernel.largest_order)
 

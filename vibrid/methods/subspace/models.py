@@ -78,6 +78,11 @@ class Subspace:
             return feedback_of(self.factor.triangle, self.layout, self.n_columns)
 
     @property
+    def criterion_decides(self) -> bool:
+        """Without inputs coloured excitation lets the criterion fall for ever."""
+        return self.layout.n_inputs > 0
+
+    @property
     def largest_order(self) -> int:
         return int(self.gamma.shape[1])
 

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from .errors import DataError, OptionError, check_choice
-from .record import Channel, Floats, Record, rows_per_chunk
+from .record import Channel, Floats, Record, joined, rows_per_chunk
 
 OFFSETS = ("estimate", "mean", "none")
 CONSTANT_LIMIT = 1e-12  # std relative to the largest magnitude: what rounding leaves of a constant
@@ -122,18 +122,13 @@ def open_stream(data: Record | Sequence[Record], offset: str = "estimate") -> St
     """
     check_choice("offset", offset, OFFSETS)
     records = as_records(data)
-    segments = tuple(
-        Segment(index, start, stop)
-        for index, record in enumerate(records)
-        for start, stop in record.segments()
-    )
+    segments, mean, std = _surveyed(records)
     channels = records[0].input_channels + records[0].output_channels
     if not segments:
         raise DataError(
             f"No sample has all {len(channels)} channels: every row holds a NaN. Leave out the "
             "channels that are missing (select(), or --outputs without them), or check the file."
         )
-    mean, std = _mean_and_std(records, segments)
     _refuse_constant(channels, mean, std)
     level = std if offset != "none" else np.hypot(mean, std)
     return Stream(
@@ -146,24 +141,29 @@ def open_stream(data: Record | Sequence[Record], offset: str = "estimate") -> St
     )
 
 
-def _mean_and_std(records: Sequence[Record], segments: Sequence[Segment]) -> tuple[Floats, Floats]:
-    """Pool means and sums of squares over chunks (Chan, Golub & LeVeque 1983)."""
+def _surveyed(records: Sequence[Record]) -> tuple[tuple[Segment, ...], Floats, Floats]:
+    """Return segments, means and deviations of all records from one walk over the data.
+
+    Means and sums of squares are pooled over stretches (Chan, Golub & LeVeque 1983).
+    """
+    segments: list[Segment] = []
     count = 0
     mean = np.zeros(records[0].n_inputs + records[0].n_outputs)
     squares = np.zeros_like(mean)
-    for segment in segments:
-        record = records[segment.record]
-        step = rows_per_chunk(len(mean))
-        for start in range(segment.start, segment.stop, step):
-            rows = record.read(start, min(start + step, segment.stop))
-            chunk_mean = np.ones(len(rows)) @ rows / len(rows)  # BLAS: several times faster
-            shift = chunk_mean - mean
+    for index, record in enumerate(records):
+        pieces = []
+        for first, rows in record.stretches():
+            pieces.append((first, first + len(rows)))
+            ones = np.ones(len(rows))  # sums by BLAS: several times faster
+            stretch_mean = ones @ rows / len(rows)
+            shift = stretch_mean - mean
             total = count + len(rows)
-            moved = rows - chunk_mean
-            squares += np.einsum("tc,tc->c", moved, moved) + shift**2 * count * len(rows) / total
+            moved = rows - stretch_mean
+            squares += ones @ moved**2 + shift**2 * count * len(rows) / total
             mean += shift * len(rows) / total
             count = total
-    return mean, np.sqrt(squares / count)
+        segments += [Segment(index, start, stop) for start, stop in joined(pieces)]
+    return tuple(segments), mean, np.sqrt(squares / max(count, 1))
 
 
 def _refuse_constant(channels: Sequence[Channel], mean: Floats, std: Floats) -> None:

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from contextlib import ExitStack, contextmanager
+from contextlib import ContextDecorator, ExitStack
 from functools import cache
 from threading import Lock
 
@@ -20,19 +19,19 @@ QR_ROOM = 64  # columns that LAPACK may take together
 RANK_TOLERANCE = 1e-12  # relative, for factors of the Gram: their noise is about 1e-15
 
 
-class _OneThread:
+class _OneThread(ContextDecorator):
     """One BLAS thread while anyone wants it: the first sets the limit, the last lifts it."""
 
     def __init__(self) -> None:
         self._lock, self._users, self._limit = Lock(), 0, ExitStack()
 
-    def enter(self) -> None:
+    def __enter__(self) -> None:
         with self._lock:
             self._users += 1
             if self._users == 1:
                 self._limit.enter_context(_threadpools().limit(limits=1, user_api="blas"))
 
-    def leave(self) -> None:
+    def __exit__(self, *_: object) -> None:
         with self._lock:
             self._users -= 1
             if self._users == 0:
@@ -48,14 +47,12 @@ def _threadpools() -> ThreadpoolController:
 _ONE_THREAD = _OneThread()
 
 
-@contextmanager
-def one_blas_thread() -> Iterator[None]:
-    """Run small and medium kernels on one BLAS thread: two are slower there."""
-    _ONE_THREAD.enter()
-    try:
-        yield
-    finally:
-        _ONE_THREAD.leave()
+def one_blas_thread() -> _OneThread:
+    """Run small and medium kernels on one BLAS thread: two are slower there.
+
+    Used by ``with`` or as a decorator; may be entered again inside itself.
+    """
+    return _ONE_THREAD
 
 
 def triangle(matrix: Floats) -> Floats:

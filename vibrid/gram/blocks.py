@@ -180,11 +180,13 @@ class BlockGram:
         """
         c, n = self.n_channels, self.n_rows
         head, tail = self._edges()
-        moved = tail.T @ tail
-        moved -= head.T @ head
         gram = np.zeros((n * c, n * c))
         gram[:c] = self.lags.sum(axis=0).transpose(1, 0, 2).reshape(c, n * c)
-        for k in range(n - 1):
-            row, below = slice(k * c, (k + 1) * c), slice((k + 1) * c, (k + 2) * c)
-            gram[below, (k + 1) * c :] = gram[row, k * c : -c] + moved[row, k * c :]
+        gram[c:, c:] = tail.T @ tail
+        gram[c:, c:] -= head.T @ head
+        # one block row down and right is the same distance from every entry; what reaches
+        # beyond the last column lands below the diagonal
+        flat, block = gram.ravel(), c * n * c
+        for start in range(0, (n - 1) * block, block):
+            flat[start + block + c : start + 2 * block] += flat[start : start + block - c]
         return gram

@@ -55,7 +55,7 @@ def factorize(gram: BlockGram, stream: Stream, rows: NDArray[np.int64]) -> Facto
         Indices lag · n_channels + channel.
     """
     with one_blas_thread():
-        triangle, pivot = scaled_cholesky(gram.matrix()[np.ix_(rows, rows)])
+        triangle, pivot = scaled_cholesky(gram.matrix()[rows][:, rows])
         if triangle is not None:
             return Factor(triangle, "cholesky", pivot)
         return Factor(_streamed_qr(gram, stream, rows), "qr", pivot)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -124,15 +124,42 @@ class Record:
 
     def read(self, start: int, stop: int) -> Floats:
         """Return rows [start, stop) of [inputs, outputs] as one float64 array."""
-        u = np.asarray(self.inputs[start:stop], dtype=np.float64)
-        y = np.asarray(self.outputs[start:stop], dtype=np.float64)
-        return np.hstack([u, y]) if u.shape[1] else y
+        u, y = self.inputs[start:stop], self.outputs[start:stop]
+        if not self.n_inputs:
+            return np.asarray(y, dtype=np.float64)
+        rows = np.empty((len(y), self.n_inputs + self.n_outputs))
+        rows[:, : self.n_inputs] = u
+        rows[:, self.n_inputs :] = y
+        return rows
 
     def chunks(self, rows: int | None = None) -> Iterator[tuple[int, Floats]]:
         """Yield (first row, rows of [inputs, outputs]) from front to end."""
         step = rows or rows_per_chunk(self.n_inputs + self.n_outputs)
         for start in range(0, self.n_samples, step):
             yield start, self.read(start, min(start + step, self.n_samples))
+
+    def stretches(self) -> Iterator[tuple[int, Floats]]:
+        """Yield (first row, rows) without NaN from front to end, cut at gaps and between chunks.
+
+        Raises
+        ------
+        DataError
+            A value is infinite.
+        """
+        for first, rows in self.chunks():
+            with np.errstate(invalid="ignore", over="ignore"):
+                whole = np.isfinite(rows.sum())  # a sum hides nothing: NaN and infinity stay
+            if whole:
+                yield first, rows
+                continue
+            if np.isinf(rows).any():
+                row = first + int(np.flatnonzero(np.isinf(rows).any(axis=1))[0])
+                raise DataError(
+                    f"Sample {row} of {self.name or 'the record'} is infinite; write NaN where a "
+                    "sample is missing."
+                )
+            for start, stop in _runs(np.asarray(~np.isnan(rows).any(axis=1))):
+                yield first + start, rows[start:stop]
 
     def segments(self) -> tuple[tuple[int, int], ...]:
         """Return (start, stop) of every contiguous piece without NaN; one pass over the data.
@@ -142,23 +169,7 @@ class Record:
         DataError
             A value is infinite.
         """
-        pieces: list[tuple[int, int]] = []
-        for first, rows in self.chunks():
-            with np.errstate(invalid="ignore", over="ignore"):
-                whole = np.isfinite(rows.sum())  # a sum hides nothing: NaN and infinity stay
-            if not whole and np.isinf(rows).any():
-                row = first + int(np.flatnonzero(np.isinf(rows).any(axis=1))[0])
-                raise DataError(
-                    f"Sample {row} of {self.name or 'the record'} is infinite; write NaN where a "
-                    "sample is missing."
-                )
-            good = [(0, len(rows))] if whole else _runs(np.asarray(~np.isnan(rows).any(axis=1)))
-            for start, stop in good:
-                if pieces and pieces[-1][1] == first + start:
-                    pieces[-1] = (pieces[-1][0], first + stop)
-                else:
-                    pieces.append((first + start, first + stop))
-        return tuple(pieces)
+        return joined((first, first + len(rows)) for first, rows in self.stretches())
 
     # -- parts of it
 
@@ -355,6 +366,17 @@ def _check_shapes(y: Signal, u: Signal) -> None:
             "time is axis 0, and a record needs at least as many samples as channels. The record "
             "is too short, or the array must be transposed."
         )
+
+
+def joined(stretches: Iterable[tuple[int, int]]) -> tuple[tuple[int, int], ...]:
+    """Return (start, stop) of pieces from stretches in order, those that touch as one."""
+    pieces: list[tuple[int, int]] = []
+    for start, stop in stretches:
+        if pieces and pieces[-1][1] == start:
+            pieces[-1] = (pieces[-1][0], stop)
+        else:
+            pieces.append((start, stop))
+    return tuple(pieces)
 
 
 def _runs(good: np.ndarray[Any, np.dtype[np.bool_]]) -> list[tuple[int, int]]:

@@ -60,10 +60,15 @@ class Layout:
         """Most states that the rows can tell apart; shift invariance needs one row less."""
         return min((self.future_rows - 1) * self.n_outputs, self.n_past)
 
-    def past(self, shift: int = 0) -> NDArray[np.int64]:
-        """Return the factor columns of W_p, moved `shift` samples on."""
-        lags = np.arange(shift, self.past_rows + shift)
-        return np.asarray(self._places[np.ix_(lags, np.array(self.past_channels))].ravel())
+    @cached_property
+    def past(self) -> NDArray[np.int64]:
+        """The factor columns of W_p."""
+        return self.n_future_inputs + np.arange(self.n_past)
+
+    @cached_property
+    def next_past(self) -> NDArray[np.int64]:
+        """The factor columns of W_p, moved one sample on."""
+        return self._places[1 : self.past_rows + 1, self.past_channels].ravel()
 
     def inputs(self, step: int) -> NDArray[np.int64]:
         """Return the factor columns of u at future step `step`."""

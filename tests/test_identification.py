@@ -553,6 +553,42 @@ def test_unstable_noise_free_data_follow_the_policy(rng: np.random.Generator) ->
     np.testing.assert_allclose(left.model.spectral_radius, 1.005, rtol=1e-8)
 
 
+def test_two_sines_are_identified_and_doubted() -> None:
+    """Inputs of four frequencies' rank make wild models on the way; the finding says what lacks."""
+    rng = np.random.default_rng(5)
+    frame = chain(np.ones(3), np.full(3, 600.0), damping_ratio=0.01)
+    rng.standard_normal(1500)
+    t = 0.05 * np.arange(3000)
+    force = np.sin(2 * np.pi * 1.1 * t) + np.sin(2 * np.pi * 2.3 * t)
+    record = frame.simulate(force, 0.05, forces=["f1"], noise=0.02, rng=rng)
+    fit = vb.identify(record)
+    assert fit.model.is_stable and fit.diagnostics.figures["simulation_error"] < 0.1
+    assert "excitation" in [finding.code for finding in fit.diagnostics.findings]
+
+
+@pytest.mark.parametrize("amount", [1.0, 5.0])
+def test_a_wandering_offset_is_said(amount: float, rng: np.random.Generator) -> None:
+    """A random walk of the sensors' zero takes a real pole, slow for the record or the modes."""
+    _, record = shaker_test(rng, n_samples=3000)
+    walk = np.cumsum(rng.standard_normal((3000, 1)), axis=0) / 30
+    y = record.outputs + amount * record.outputs.std() * walk
+    fit = vb.identify(vb.Record(y, record.inputs, dt=DT), vb.N4SID(block_rows=20), order=9)
+    said = {finding.code: str(finding) for finding in fit.diagnostics.findings}
+    assert "they play a drift" in said["drift-pole"]
+
+
+def test_a_weak_measured_force_does_not_cost_the_modes() -> None:
+    """Where unmeasured forces do nearly all, simulation cannot judge orders: the criterion does."""
+    rng = np.random.default_rng(2)
+    frame = chain(np.ones(3), np.full(3, 600.0), damping_ratio=0.01)
+    forces = white_noise(6000, 3, rng=rng) * [0.1, 1.0, 1.0]
+    record = frame.simulate(forces, 0.05, forces=frame.dofs, noise=0.02, rng=rng)
+    fit = vb.identify(record.select(inputs=[record.input_names[0]]))
+    assert fit.order == 6 and "cannot judge" in fit.diagnostics.figures["choices"][-1]
+    found = vb.modes_of(fit).frequencies_hz
+    np.testing.assert_allclose(found, frame.frequencies_hz, rtol=0.01)
+
+
 def test_a_force_among_the_responses_is_said(rng: np.random.Generator) -> None:
     """A measured force without a role is taken as a response, with a warning and the cure."""
     _, record = shaker_test(rng)

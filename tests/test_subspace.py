@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import re
 from typing import Any
 
 import numpy as np
 import pytest
 import scipy.linalg as sla
+import scipy.signal as ss
 from numpy.typing import NDArray
 
 import vibrid as vb
@@ -252,6 +254,21 @@ def test_clipped_dead_and_folded_channels_are_named(rng: np.random.Generator) ->
     assert said["near-nyquist"].startswith("fast:")
 
 
+def test_a_filled_gap_is_named(rng: np.random.Generator) -> None:
+    """An output that keeps one value for a while is named; a force that rests is not."""
+    record = noisy_chain(rng, 6000)
+    y, u = np.array(record.outputs), np.array(record.inputs)
+    y[2000:2400, 1] = 0
+    u[:3000, 0] = 0
+    names = ["whole", "filled", "sound"]
+    torn = vb.Record(y, u, dt=DT, output_channels=names)
+    fit = vb.identify(torn, vb.N4SID(block_rows=10), order=6, stability="project")
+    said = {finding.code: finding.sentence for finding in fit.diagnostics.findings}
+    assert said["stuck-channel"].startswith("filled keep one value")
+    assert "6.67 % of the samples" in said["stuck-channel"]
+    assert "dead-channel" not in said
+
+
 def test_a_weak_channel_among_its_kind_is_named(rng: np.random.Generator) -> None:
     """An accelerometer that gives a millionth of what the others give is dead."""
     record = noisy_chain(rng)
@@ -319,3 +336,124 @@ def test_automatic_order_can_be_projected(rng: np.random.Generator) -> None:
             vb.identify(record, method, offset="none")
         fit = vb.identify(record, method, offset="none", stability="project")
         assert fit.model.is_stable and "projected" in codes(fit)
+
+
+# -- the choice of the transition
+
+
+def coloured(seed: int) -> vb.Record:
+    """Return 1000 noisy samples of a chain with 0.5 % damping under a low-pass force."""
+    rng = np.random.default_rng(seed)
+    frame = chain(np.ones(3), np.full(3, 600.0), damping_ratio=0.005)
+    b, a = ss.butter(4, 0.4)
+    force = ss.lfilter(b, a, white_noise(1000, 1, rng=rng), axis=0)
+    return frame.simulate(force, 0.02, forces=["f1"], noise=0.3, rng=rng)
+
+
+def test_free_responses_rank_transitions_whatever_the_input() -> None:
+    """Under a coloured force, where B is badly known, the Gram still prefers shift invariance.
+
+    Its regression misses several times the damping; what is projected out is what it hides in.
+    """
+    for seed in range(4):
+        subspace = vb.N4SID(block_rows=20).decompose(coloured(seed))
+        costs = [subspace.free_cost(subspace.realize(6, name)) for name in ("regression", "shift")]
+        assert costs[1] < costs[0] - 1
+
+
+def test_free_cost_is_that_of_explicit_projections(rng: np.random.Generator) -> None:
+    """The same as from explicit Hankel columns, future inputs projected out by least squares."""
+    record, rows = noisy_chain(rng, 600), 8
+    subspace = vb.N4SID("moesp", block_rows=rows).decompose(record, offset="none")
+    model = subspace.realize(6, "shift")
+    stream = open_stream(record, "none")
+    z = stream.read(stream.segments[0], 0, 600)
+    count = 600 - 2 * rows + 1
+    windows = np.array([z[t : t + 2 * rows] for t in range(count)])
+    inputs = windows[:, rows:, :2].reshape(count, -1)
+    states = windows[:, :rows].reshape(count, -1) @ subspace.state_map[:6].T
+    costs = []
+    for step in (1, 3, 5, 7):
+        missed = windows[:, rows + step, 2:] - states @ np.linalg.matrix_power(model.A.T, step) @ (
+            model.C.T
+        )
+        missed -= inputs @ np.linalg.lstsq(inputs, missed, rcond=None)[0]
+        costs.append(np.linalg.slogdet(missed.T @ missed / count)[1])
+    np.testing.assert_allclose(subspace.free_cost(model), np.mean(costs), rtol=1e-9)
+
+
+def test_a_better_transition_just_outside_the_circle_is_not_dropped_in_silence() -> None:
+    """Reflected it is taken where that was asked for; else a finding names pole and gain."""
+    record, method = coloured(3), vb.N4SID(block_rows=20)
+    stable = vb.identify(record, method, order=6)
+    said = {finding.code: str(finding) for finding in stable.diagnostics.findings}
+    assert stable.model.is_stable and stable.diagnostics.figures["transition"] == "regression"
+    assert "shift invariance is unstable (a pole has magnitude 1.0" in said["unstable-alternative"]
+    assert 'stability="project"' in said["unstable-alternative"]
+    taken = vb.identify(record, method, order=6, stability="project")
+    assert taken.diagnostics.figures["transition"] == "shift" and "projected" in codes(taken)
+    errors = [fit.diagnostics.figures["simulation_error"] for fit in (taken, stable)]
+    assert errors[0] < 0.32 < 0.5 < errors[1]
+
+
+@pytest.mark.parametrize(
+    ("transition", "severity", "said"),
+    [
+        ("regression", "doubt", 'Use about 1\\d\\d block_rows, or transition="shift"'),
+        ("auto", "note", "shift invariance, which does not suffer, was taken"),
+    ],
+)
+def test_a_short_horizon_names_the_number_and_the_limit(
+    transition: str, severity: str, said: str
+) -> None:
+    """rho(A-KC)^s, the limit 0.01 and the cure, for every estimator it biases."""
+    method = vb.N4SID(block_rows=20, transition=transition)
+    fit = vb.identify(coloured(0), method, order=6, stability="project")
+    finding = next(each for each in fit.diagnostics.findings if each.code == "short-horizon")
+    memory = fit.diagnostics.figures["predictor_memory"]
+    assert finding.severity == severity
+    pattern = rf"rho\(A-KC\)\^s is {memory:.2g} after s = 20 past rows \(limit 0.01\).*{said}"
+    assert re.search(pattern, str(finding))
+
+
+def test_a_regression_that_both_agree_with_is_a_note(rng: np.random.Generator) -> None:
+    """Where shift invariance finds the same damping, the short horizon did no harm."""
+    fit = vb.identify(noisy_chain(rng, 6000), vb.N4SID(block_rows=40), order=6)
+    said = {finding.code: finding for finding in fit.diagnostics.findings}
+    assert "damping-doubt" not in said
+    assert said["short-horizon"].severity == "note"
+
+
+def test_weightings_of_one_factor_equal_decompositions_of_their_own(
+    rng: np.random.Generator,
+) -> None:
+    """What an automatic choice compares is what each weighting gives when asked for."""
+    stream = open_stream(noisy_chain(rng))
+    method = vb.N4SID(block_rows=10)
+    for found in method.alternatives(method.decompose(stream)):
+        alone = vb.N4SID(found.method.weighting, block_rows=10).decompose(stream)
+        np.testing.assert_allclose(found.singular_values, alone.singular_values, rtol=1e-12)
+        np.testing.assert_allclose(found.realize(6).A, alone.realize(6).A, rtol=1e-12)
+
+
+# -- undamped motion
+
+
+def test_undamped_decays_can_be_projected() -> None:
+    """Noise puts half of the undamped poles outside the circle: projected, no mode is lost."""
+    rng = np.random.default_rng(1)
+    frame = chain(np.ones(3), np.full(3, 600.0), damping_ratio=0.0)
+    start = np.array([1.0, 0.3, -0.5, 0.0, 0.0, 0.0])
+    record = frame.simulate(None, 0.02, n_samples=2000, initial_state=start, noise=0.02, rng=rng)
+    method = vb.ERA(responses="decay")
+    cautious = vb.identify(record, method)
+    assert re.search(
+        r"(\d+) of 36 orders were unstable and skipped, \1 of them by growth of less than e.*"
+        'stability="project" keeps these',
+        cautious.diagnostics.figures["choices"][-1],
+    )
+    fit = vb.identify(record, method, stability="project")
+    assert fit.order == 6 and "projected" in codes(fit)
+    modes = vb.modes_of(fit)
+    np.testing.assert_allclose(modes.frequencies_hz, frame.frequencies_hz, rtol=1e-3)
+    assert (np.abs(modes.damping_ratios) < 1e-4).all()

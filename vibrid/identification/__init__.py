@@ -74,7 +74,9 @@ def identify(
     feedthrough : bool or one for each output, optional
         Whether D is estimated; None: not for displacements and velocities.
     stability : "raise", "project" or "ignore"
-        What to do when the model is unstable.
+        What to do when the model is unstable. With "project" poles outside the unit circle are
+        reflected, and what is so only by noise is not passed over: a better transition, and
+        without inputs the orders of nearly undamped motion.
     refine : bool
         Improve the model by maximum likelihood, see `refine`; with inputs and order "auto"
         the order comes from elimination: modes of a model with too many are removed one by
@@ -120,7 +122,7 @@ def identify(
     report("reduce", 0, 1)
     if refine and isinstance(order, str) and stream.n_inputs:
         return with_findings(refined_order(stream, method, feedthrough, report), stream)
-    choice = choose(stream, method, order, feedthrough, report)
+    choice = choose(stream, method, order, feedthrough, report, stability)
     report("complete", 0, 1)
     fit = finish(choice.method, choice.decomposition, choice.order, stream, stability)
     if refine:

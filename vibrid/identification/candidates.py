@@ -14,6 +14,7 @@ from ..errors import DataError
 from ..gram import reduce
 from ..methods.preparation import check_length
 from .held_out import simulated, simulation_error
+from .options import HasAlternatives
 
 HORIZONS = (10, 20, 40, 80)
 LARGEST_HANKEL = 2600  # rows: beyond it a factorization takes seconds
@@ -44,14 +45,15 @@ def horizons(stream: Stream, method: Any, order: int | str, feedthrough: Mask) -
     ]
     allowed = allowed or [_longest(stream, method, shortest)]
     gram = reduce(stream, _rows(method, allowed[-1]))
-    alternatives = getattr(method, "alternatives", lambda: [method])()
     found: list[Candidate] = []
     for rows in allowed:
-        for each in alternatives:
-            option = replace(each, block_rows=rows)
-            found.append((option, option.decompose(stream, feedthrough=feedthrough, gram=gram)))
-            if found[-1][1].rank_limited:
-                return found
+        option = replace(method, block_rows=rows)
+        compared = [option.decompose(stream, feedthrough=feedthrough, gram=gram)]
+        if isinstance(option, HasAlternatives) and not compared[0].rank_limited:
+            compared = option.alternatives(compared[0])
+        found += [(each.method, each) for each in compared]
+        if compared[-1].rank_limited:
+            break
     return found
 
 
@@ -126,7 +128,3 @@ def stretches(stream: Stream, n_samples: int) -> Stream:
 def first_close(values: Sequence[float], n_outputs: int) -> int:
     limit = min(values) + CLOSE * n_outputs
     return next(k for k, value in enumerate(values) if value <= limit)
-
-
-def weighting_of(method: Any) -> str:
-    return str(getattr(method, "weighting", ""))

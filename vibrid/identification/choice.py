@@ -10,9 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..chunks import Stream
+from ..kalman import STABLE_TO
+from ..methods.subspace import Subspace
 from .candidates import (
-    AS_GOOD,
-    CLOSE,
     Candidate,
     Mask,
     first_close,
@@ -20,13 +20,15 @@ from .candidates import (
     horizons,
     shortened,
     simulation_error_of,
-    weighting_of,
 )
 from .held_out import GRID, held_out_errors, smallest_enough
+from .options import HasHorizon, closed, leaves_horizon, rows_of, weighting_of
+from .reasons import as_asked, horizon_reason, simulation_reason, skipped_orders
 from .scan import OrderScan, choose_order, scan_orders, steady_modes
 
 UNLIKE = 2.5  # times the error of all data: where unseen halves cannot do better, they differ
 LONGEST_MEMORY = 20  # samples: a longer horizon leaves too few observations of a short record
+NOTHING = 0.9  # of the outputs' deviation: a simulation that misses more explains too little
 KEPT = 1.2  # of the simulation error: more with a few more columns is an accident
 
 Progress = Callable[[str, int, int], None]
@@ -45,7 +47,12 @@ class Choice:
 
 
 def choose(
-    stream: Stream, method: Any, order: int | str, feedthrough: Mask, progress: Progress
+    stream: Stream,
+    method: Any,
+    order: int | str,
+    feedthrough: Mask,
+    progress: Progress,
+    stability: str = "raise",
 ) -> Choice:
     """Return horizon and order: as asked for, or by criterion, unseen halves and steadiness.
 
@@ -53,25 +60,27 @@ def choose(
     weightings, where that is open) count that simulate the data within 2 % of the best error
     at the order asked for or found; of these, and without inputs of all, the shortest whose
     prediction error is within 2 % of the best. Where the inputs seem to follow the outputs,
-    transition and completion become those that feedback does not bias.
+    transition and completion become those that feedback does not bias. Unstable orders are
+    skipped; with "project" and without inputs not those whose poles grow by less than e over
+    the longest piece, which is how undamped motion and its noise look.
 
     Raises
     ------
     DataError
         The record is too short for the shortest horizon.
     """
-    given = getattr(method, "block_rows", 0) is not None
-    if given:
+    leaves = leaves_horizon(method)
+    if not leaves:
         decomposition = method.decompose(stream, feedthrough=feedthrough)
         candidates = [(decomposition.method, decomposition)]
-        reasons = decomposition.reasons or _as_asked(method)
+        reasons = decomposition.reasons or as_asked(method)
     else:
         candidates, reasons = horizons(stream, method, order, feedthrough), ()
     if isinstance(order, str):
-        chosen = _with_order(stream, candidates, feedthrough, reasons, progress)
+        chosen = _with_order(stream, candidates, feedthrough, reasons, progress, stability)
     else:
         chosen = _best_for_order(candidates, order, stream, reasons)
-    if not given:
+    if leaves:
         chosen = _afresh(stream, chosen, feedthrough)
     return _without_feedback(chosen)
 
@@ -82,6 +91,7 @@ def _with_order(
     feedthrough: Mask,
     reasons: tuple[str, ...],
     progress: Progress,
+    stability: str,
 ) -> Choice:
     """Return the order, and the candidate that goes with it.
 
@@ -89,16 +99,17 @@ def _with_order(
     inputs, unseen halves say how much of it is worth having, and the simulation with that
     order which candidate gives it best.
     """
-    tried = []
+    tried, projects, near = [], stability == "project", _near_circle(stream)
     first = candidates[0][0]
     ranked = [each for each in candidates if weighting_of(each[0]) == weighting_of(first)]
     for k, (option, decomposition) in enumerate(ranked):
         progress("orders", k, len(ranked))
-        tried.append((option, decomposition, scan_orders(option, decomposition)))
+        scan = scan_orders(option, decomposition, near=near, projects=projects)
+        tried.append((option, decomposition, scan))
     decides = candidates[0][1].criterion_decides
     chosen = _best_of(tried, stream.n_outputs, decides, reasons)
-    scan = chosen.scan
-    if not stream.n_inputs or scan is None or scan.rank is not None or not scan.stable.any():
+    found = chosen.scan
+    if not stream.n_inputs or found is None or found.rank is not None or not found.stable.any():
         return chosen
     progress("held out", 0, 2)
     tentative = _by_held_out(stream, chosen, feedthrough)
@@ -124,7 +135,7 @@ def _simulating_best(stream: Stream, candidates: Sequence[Candidate], choice: Ch
     if k is None:
         return choice
     method, decomposition = candidates[k]
-    reason = _simulation_reason(method, candidates, choice.order)
+    reason = simulation_reason(method, candidates, choice.order)
     return replace(
         choice, method=method, decomposition=decomposition, reasons=(reason, *choice.reasons[-1:])
     )
@@ -136,19 +147,20 @@ def _without_feedback(choice: Choice) -> Choice:
     Neither projection along the future inputs nor simulation can be trusted there: what
     feedback makes of the noise looks like response.
     """
-    feedback = getattr(choice.decomposition, "feedback", None)
+    known = choice.decomposition
+    feedback = known.feedback if isinstance(known, Subspace) else None
     if feedback is None or not feedback.suspected:
         return choice
-    changed = {
-        name: value
-        for name, value in (("transition", "regression"), ("completion", "prediction"))
-        if getattr(choice.method, name) == "auto"
-    }
-    if not changed:
+    method = closed(choice.method, transition="regression", completion="prediction")
+    if method == choice.method:
         return choice
-    named = " and ".join(f"{name}={value}" for name, value in changed.items())
-    why = f"{named}, because the inputs seem to follow the outputs (feedback)"
-    return replace(choice, method=replace(choice.method, **changed), reasons=(*choice.reasons, why))
+    changed = [
+        f"{name}={value}"
+        for name, value in vars(method).items()
+        if value != vars(choice.method)[name]
+    ]
+    why = f"{' and '.join(changed)}, because the inputs seem to follow the outputs (feedback)"
+    return replace(choice, method=method, reasons=(*choice.reasons, why))
 
 
 def choose_for_responses(decomposition: Any, order: int | str, progress: Progress) -> Choice:
@@ -167,11 +179,6 @@ def choose_for_responses(decomposition: Any, order: int | str, progress: Progres
     scan = scan_orders(method, decomposition)
     forced = decomposition.criterion_decides
     return _best_of([(method, decomposition, scan)], 1, forced, decomposition.reasons)
-
-
-def _as_asked(method: Any) -> tuple[str, ...]:
-    rows = getattr(method, "block_rows", None)
-    return () if rows is None else (f"block_rows={rows} as asked for",)
 
 
 def _afresh(stream: Stream, choice: Choice, feedthrough: Mask) -> Choice:
@@ -216,12 +223,20 @@ def _best_of(
     exact = usable[-1][2].rank is not None
     method, decomposition, scan = usable[-1 if exact else first_close(values, n_outputs)]
     order, why = choose_order(scan, forced=forced)
-    skipped = int((~scan.stable).sum())
-    if skipped:
-        why += f"; {skipped} of {len(scan.orders)} orders were unstable and skipped"
-    if getattr(method, "block_rows", None) is not None:
-        reasons = reasons or (_horizon_reason(method, [each[:2] for each in tried], ""),)
+    why += skipped_orders(scan)
+    if rows_of(method) is not None:
+        reasons = reasons or (horizon_reason(method, [each[:2] for each in tried], ""),)
     return Choice(method, decomposition, order, scan, (*reasons, why))
+
+
+def _near_circle(stream: Stream) -> float:
+    """Return the radius of poles that grow by e over the longest piece; 1 with inputs.
+
+    With inputs it is simulation that ranks models, for which poles must not grow at all.
+    """
+    if stream.n_inputs:
+        return STABLE_TO
+    return float(np.exp(1 / max(segment.length for segment in stream.segments)))
 
 
 def _unstable(tried: Sequence[tuple[Any, Any, OrderScan]], reasons: tuple[str, ...]) -> Choice:
@@ -234,7 +249,7 @@ def _unstable(tried: Sequence[tuple[Any, Any, OrderScan]], reasons: tuple[str, .
         f"order={order} has the lowest information criterion of {scan.orders[0]} to "
         f"{scan.orders[-1]}, all of which are unstable"
     )
-    return Choice(method, decomposition, order, scan, (*(reasons or _as_asked(method)), why))
+    return Choice(method, decomposition, order, scan, (*(reasons or as_asked(method)), why))
 
 
 def _best_for_order(
@@ -250,7 +265,7 @@ def _best_for_order(
         k = first_simulating(stream, candidates, order)
         if k is not None:
             method, decomposition = candidates[k]
-            reason = _simulation_reason(method, candidates, order)
+            reason = simulation_reason(method, candidates, order)
             return Choice(method, decomposition, order, None, (reason, why))
     values = []
     for _, decomposition in candidates:
@@ -258,46 +273,17 @@ def _best_for_order(
         value, stable = decomposition.criterion(order) if possible else (np.inf, False)
         values.append(value / decomposition.n_columns if stable else np.inf)
     method, decomposition = candidates[first_close(values, stream.n_outputs)]
-    if getattr(method, "block_rows", None) is not None:
-        reasons = reasons or (_horizon_reason(method, candidates, f" at order {order}"),)
+    if rows_of(method) is not None:
+        reasons = reasons or (horizon_reason(method, candidates, f" at order {order}"),)
     return Choice(method, decomposition, order, None, (*reasons, why))
-
-
-def _horizon_reason(method: Any, tried: Sequence[tuple[Any, Any]], where: str) -> str:
-    rows = f"block_rows={method.block_rows}"
-    if method == tried[-1][0] and tried[-1][1].rank_limited:
-        return f"{rows} shows the rank of these nearly noise-free data"
-    if len(tried) == 1:
-        return f"{rows} is the longest that this record and its channels allow"
-    others = ", ".join(str(option.block_rows) for option, _ in tried)
-    return (
-        f"{rows} is the shortest of {others} whose prediction error{where} is within "
-        f"{100 * CLOSE:g} % of the best"
-    )
-
-
-def _simulation_reason(method: Any, tried: Sequence[Candidate], order: int) -> str:
-    rows = sorted({option.block_rows for option, _ in tried})
-    others = [name for option, _ in tried if (name := weighting_of(option)) != weighting_of(method)]
-    named = f"block_rows={method.block_rows}"
-    if len(rows) == 1:
-        why = f"{named} is the longest that this record and its channels allow"
-    else:
-        why = (
-            f"{named} is one of {', '.join(str(each) for each in rows)} that simulates at order "
-            f"{order} within {100 * (AS_GOOD - 1):.2g} % of the error of the best, and of these "
-            f"the shortest whose prediction error is within {100 * CLOSE:g} %"
-        )
-    if others:
-        why += f"; weighting={method.weighting} was found so, against {others[0]}"
-    return why
 
 
 def _by_held_out(stream: Stream, choice: Choice, feedthrough: Mask) -> Choice:
     """Return the smallest order that simulates unseen halves nearly as well as the best.
 
     Nonlinearity and coloured noise let the criterion ask for ever more states; data that a
-    model has not seen do not.
+    model has not seen do not. The order stays where no simulation explains anything: then it
+    is other forces that move the structure.
     """
     assert choice.scan is not None
     stable = choice.scan.orders[choice.scan.stable]
@@ -306,7 +292,11 @@ def _by_held_out(stream: Stream, choice: Choice, feedthrough: Mask) -> Choice:
     # at 100 % error, or far above what all data reach, the halves hold different motion: one
     # may hold no force at all, or a sweep's other frequencies
     seen = simulation_error_of(shortened(stream), choice.method, choice.decomposition, choice.order)
-    if choice.order not in errors or min(errors.values()) >= min(1.0, UNLIKE * seen):
+    best = min(errors.values(), default=np.inf)
+    if NOTHING <= min(best, seen) < np.inf:
+        why = f"{choice.reasons[-1]}; simulation, which misses {100 * seen:.3g} %, cannot judge"
+        return replace(choice, reasons=(*choice.reasons[:-1], why))
+    if choice.order not in errors or best >= min(1.0, UNLIKE * seen):
         return _by_seen(stream, choice, orders)
     order = smallest_enough(errors)
     why = choice.reasons[-1]
@@ -332,11 +322,11 @@ def _by_seen(stream: Stream, choice: Choice, orders: Sequence[int]) -> Choice:
     """
     assert choice.scan is not None
     steady = steady_modes(choice.scan, choice.order)
-    if steady is not None and not hasattr(choice.method, "block_rows"):
+    if steady is not None and not isinstance(choice.method, HasHorizon):
         orders = [order for order in orders if order >= steady[0]]
     m, p = stream.n_inputs, stream.n_outputs
     short = shortened(stream)
-    rows = getattr(choice.method, "block_rows", None)
+    rows = rows_of(choice.method)
     horizon = min(rows, LONGEST_MEMORY) if rows else choice.decomposition.gram.n_rows // 2
     observed = max(2.0, short.n_samples * p / horizon)
     values = {}

@@ -164,8 +164,10 @@ def _equations(
 
 
 def _weight(covariance: Floats) -> Floats:
-    # scaled outputs have a standard deviation near 1
-    return whitener(covariance, np.ones((1, len(covariance))))
+    # scaled outputs have a standard deviation near 1; of a model that is far off, under inputs
+    # that excite too little, errors may be larger by orders of magnitude, and singular
+    largest = max(1.0, float(np.diag(covariance).max()))
+    return whitener(covariance, np.full((1, len(covariance)), np.sqrt(largest)))
 
 
 def _reweighted(simulated: Equations) -> Equations:

@@ -18,6 +18,7 @@ from .choice import choose
 from .finishing import finish
 from .held_out import GRID, halves_of, scored_segments, unseen_error
 from .noise_forms import LARGEST_PREDICTOR, Progress, by_folds, explained
+from .options import closed, leaves_horizon
 from .stability import settle
 
 Mask = bool | Sequence[bool] | None
@@ -146,15 +147,12 @@ def _better(fit: Fit, error: float, rival: Fit | None) -> Fit:
 
 def _over(method: Any, stream: Stream) -> Any:
     """Return the method with a long horizon, weighting and transition that keep all modes."""
-    auto = {"weighting": "moesp", "transition": "shift"}
-    changed: dict[str, Any] = {
-        name: to for name, to in auto.items() if getattr(method, name, "") == "auto"
-    }
-    if getattr(method, "block_rows", 0) is None:
-        channels = stream.n_inputs + stream.n_outputs
-        rows = min(LONGEST_OVER, LARGEST_OVER // (2 * channels))
-        changed["block_rows"] = _longest(stream, max(rows, 2))
-    return replace(method, **changed) if changed else method
+    over = closed(method, weighting="moesp", transition="shift")
+    if not leaves_horizon(over):
+        return over
+    channels = stream.n_inputs + stream.n_outputs
+    rows = min(LONGEST_OVER, LARGEST_OVER // (2 * channels))
+    return replace(over, block_rows=_longest(stream, max(rows, 2)))
 
 
 def _longest(stream: Stream, rows: int) -> int:

@@ -11,10 +11,14 @@ from ..chunks import Stream
 from ..fit import Finding, Fit
 from ..modes import modes_of
 from .choice import Choice
+from .finishing import DAMPING_LIMIT
+from .options import leaves_transition
+from .scan import LARGEST_DAMPING
 
 SHORT_MEMORY = 1e-2  # what a predictor may still remember at the end of the past horizon
 POOR_SIMULATION = 0.7  # rms error over standard deviation: half of the variance is missed
-DRIFT_SHARE = 1 / 3  # of the record: a real pole slower than this plays a drift
+DRIFT_SHARE = 1 / 3  # of the record: a pole slower than this plays a drift
+SLOWER = 20.0  # times slower than the slowest mode: a real pole no structure has
 
 
 def with_reasons(fit: Fit, stream: Stream | None, choice: Choice) -> Fit:
@@ -84,37 +88,58 @@ def _error_findings(fit: Fit) -> list[Finding]:
 
 
 def _memory_findings(fit: Fit) -> list[Finding]:
+    """Say when the predictor remembers more than the past rows hold: regression suffers.
+
+    A note where shift invariance was taken for it, or agrees.
+    """
     figures = fit.diagnostics.figures
-    memory, rows = figures.get("predictor_memory", 0.0), figures.get("past_rows")
-    # shift invariance does not suffer; with inputs and "auto" the two were compared
-    compared = bool(fit.input_channels) and getattr(fit.method, "transition", "") == "auto"
-    if memory <= SHORT_MEMORY or compared or figures.get("transition") != "regression":
+    memory, rows = figures.get("predictor_memory", 0.0), figures.get("past_rows", 1)
+    regressed = figures.get("transition") == "regression"
+    if memory <= SHORT_MEMORY or not (regressed or leaves_transition(fit.method)):
         return []
-    return [
-        Finding(
-            "short-horizon",
-            "doubt",
-            f"The predictor still remembers {100 * memory:.2g} % after the {rows} past rows "
-            f"(limit {100 * SHORT_MEMORY:g} %), which biases damping.",
-            "Use more block_rows.",
-        )
-    ]
+    seen = (
+        f"rho(A-KC)^s is {memory:.2g} after s = {rows} past rows (limit {SHORT_MEMORY:g}): the "
+        "horizon is shorter than the predictor's memory, which biases the damping of a "
+        "regression of the states"
+    )
+    apart = figures.get("damping_difference", np.inf)
+    if not regressed:
+        seen += "; shift invariance, which does not suffer, was taken"
+        return [Finding("short-horizon", "note", f"{seen}.")] if apart > DAMPING_LIMIT else []
+    if apart <= DAMPING_LIMIT:
+        seen += f"; shift invariance, which does not suffer, agrees within {100 * apart:.2g} %"
+        return [Finding("short-horizon", "note", f"{seen}.")]
+    fed_back = any(finding.code == "feedback" for finding in fit.diagnostics.findings)
+    cure = f"Use {_rows_needed(memory, rows)}" + ("" if fed_back else ', or transition="shift"')
+    return [Finding("short-horizon", "doubt", f"{seen}.", f"{cure}.")]
+
+
+def _rows_needed(memory: float, rows: int) -> str:
+    """Return the past rows after which this predictor would remember little enough."""
+    if memory >= 1:
+        return "more block_rows"
+    return f"about {int(np.ceil(rows * np.log(SHORT_MEMORY) / np.log(memory)))} block_rows"
 
 
 def _drift_findings(fit: Fit, stream: Stream | None) -> list[Finding]:
     if stream is None:
         return []
     longest = max(segment.length for segment in stream.segments) * (fit.model.dt or 1.0)
-    rates = np.abs(fit.model.continuous_poles)
-    slow = int((rates * longest * DRIFT_SHARE < 1).sum())
-    if not slow:
+    poles = fit.model.continuous_poles
+    rates = np.abs(poles)
+    slow = rates * longest * DRIFT_SHARE < 1
+    lightly = (poles.imag != 0) & (-poles.real < LARGEST_DAMPING * rates)
+    if lightly.any():
+        slow |= (poles.imag == 0) & (SLOWER * rates < rates[lightly].min())
+    if not slow.any():
         return []
     return [
         Finding(
             "drift-pole",
             "doubt",
-            f"{slow} pole(s) are slower than a third of the record ({longest:.4g} s): they play "
-            "a drift, not the structure.",
+            f"{int(slow.sum())} pole(s) are slower than a third of the record ({longest:.4g} s), "
+            f"or real and {SLOWER:g} times slower than every mode: they play a drift, not the "
+            "structure.",
             "Detrend the record, or identify in a band (--band).",
         )
     ]

@@ -14,6 +14,7 @@ from ..errors import DataError
 from ..fit import Fit
 from ..scores import fit_percent, folds, start_samples
 from .completion import Completion
+from .options import by_transition
 from .stability import is_stable
 
 LONGEST_HALF = 20_000  # samples of a half: more only cost time
@@ -62,10 +63,7 @@ def simulated(method: Any, decomposition: Any, order: int, stream: Stream) -> Fi
 
     Without its Kalman gain, which a simulation does not need: half of the work.
     """
-    options = [method]
-    if getattr(method, "transition", "") == "auto":
-        options = [replace(method, transition=name) for name in ("regression", "shift")]
-    fits = [option.realize(decomposition, order) for option in options]
+    fits = [option.realize(decomposition, order) for option in by_transition(method)]
     tried = [_bare(fit, stream) for fit in fits if is_stable(fit)]
     best = min(tried, key=lambda each: each.simulation_error, default=None)
     return None if best is None else best.complete("simulation")

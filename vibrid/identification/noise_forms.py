@@ -19,6 +19,7 @@ from ..varpro import SMALLEST_NOISE
 from .candidates import LONGEST_RANKED, shortened
 from .finishing import finished
 from .held_out import halves_of, scored_segments, simulation_error, unseen_error
+from .options import by_transition, leaves_transition
 from .stability import settle
 
 Progress = Callable[[str, int, int], None]
@@ -87,7 +88,7 @@ def _misfit(form: str, fit: Fit, stream: Stream) -> float:
 
 def _other_starts(fit: Fit, stream: Stream) -> list[Fit]:
     """Return the realization by regression or shift invariance that the fit is far from."""
-    if getattr(fit.method, "transition", "") != "auto" or fit.gram is None:
+    if not leaves_transition(fit.method) or fit.gram is None:
         return []
     if fit.segments != stream.segments:
         return []
@@ -96,8 +97,7 @@ def _other_starts(fit: Fit, stream: Stream) -> list[Fit]:
     if fit.order > decomposition.largest_order:
         return []
     found = []
-    for name in ("regression", "shift"):
-        option = replace(fit.method, transition=name)
+    for option in by_transition(fit.method):
         other = option.realize(decomposition, fit.order)
         if _far(fit, other):
             other = settle(other, "project", option, decomposition)

@@ -8,8 +8,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..fit import Decomposition, Method
+from ..kalman import STABLE_TO
 from ..modes import Modes, match_modes, modes_of
 from ..record import Floats
+from .stability import projected
 
 LARGEST_ORDER = 60
 EVERY_ORDER_TO = 12  # odd orders matter for small systems; beyond, only pairs
@@ -35,12 +37,15 @@ class OrderScan:
     modes : tuple of Modes
     rank : int or None
         The order beyond which the (nearly noise-free) data hold nothing but rounding.
+    n_near : int
+        How many of the unstable orders are so by poles next to the unit circle.
     """
 
     orders: NDArray[np.int64]
     criterion: Floats
     modes: tuple[Modes, ...]
     rank: int | None
+    n_near: int = 0
 
     @property
     def stable(self) -> NDArray[np.bool_]:
@@ -55,19 +60,38 @@ class OrderScan:
         return seen / max(1, len(chosen))
 
 
-def scan_orders(method: Method, decomposition: Decomposition) -> OrderScan:
-    """Return criterion and modes of every order worth trying."""
+def scan_orders(
+    method: Method,
+    decomposition: Decomposition,
+    *,
+    near: float = STABLE_TO,
+    projects: bool = False,
+) -> OrderScan:
+    """Return criterion and modes of every order worth trying.
+
+    Orders with poles outside the unit circle, but not beyond the radius `near`, are counted;
+    if `projects`, these poles are reflected and the orders are stable ones.
+    """
     largest = min(decomposition.largest_order, LARGEST_ORDER)
     small = range(1, min(EVERY_ORDER_TO, largest) + 1)
     orders = sorted({*small, *range(EVERY_ORDER_TO + 2, largest + 1, 2), largest})
-    criterion, modes = [], []
+    criterion, modes, n_near = [], [], 0
     for order in orders:
         value, stable = decomposition.criterion(order)
+        fit = method.realize(decomposition, order)
+        if not stable and np.isfinite(value) and fit.model.spectral_radius <= near:
+            n_near += not projects
+            if projects:
+                fit, stable = projected(fit), True
         criterion.append(value if stable else np.nan)
-        modes.append(modes_of(method.realize(decomposition, order)))
+        modes.append(modes_of(fit))
     limited = decomposition.rank_limited and decomposition.largest_order <= LARGEST_ORDER
     return OrderScan(
-        np.array(orders), np.array(criterion), tuple(modes), largest if limited else None
+        np.array(orders),
+        np.array(criterion),
+        tuple(modes),
+        largest if limited else None,
+        n_near,
     )
 
 

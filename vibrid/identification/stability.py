@@ -11,6 +11,7 @@ from ..errors import UnstableModelError
 from ..fit import Finding, Fit
 from ..kalman import DETECTABLE, STABLE_TO, spectral_radius
 from ..record import Floats
+from .options import option_names
 
 NEIGHBOURS = 12  # orders above and below that the error message tries
 NEAR_CIRCLE = 1e-4  # magnitudes closer to 1 are shown by their excess
@@ -35,7 +36,7 @@ def settle(fit: Fit, policy: str, method: Any, decomposition: Any) -> Fit:
     """
     if is_stable(fit):
         return fit
-    outside = _worst_pole(fit)
+    outside = worst_pole(fit)
     if policy == "raise":
         near = _stable_orders(method, decomposition, fit.order)
         raise UnstableModelError(
@@ -44,7 +45,7 @@ def settle(fit: Fit, policy: str, method: Any, decomposition: Any) -> Fit:
             + f'se other {_sizes(method)}, or stability="project" (--stability project).'
         )
     if policy == "project":
-        return _projected(fit, outside)
+        return projected(fit)
     # without segments the realization is the whole model
     kept = "; B, D, offsets and initial states were not fitted to the data" if fit.segments else ""
     finding = Finding("unstable", "warning", f"The model is unstable: {outside}{kept}.")
@@ -54,10 +55,11 @@ def settle(fit: Fit, policy: str, method: Any, decomposition: Any) -> Fit:
 
 def _sizes(method: Any) -> str:
     """Return the options of this method that another size of the problem is asked for by."""
-    return next((words for name, words in SIZES.items() if hasattr(method, name)), "data")
+    return next((words for name, words in SIZES.items() if name in option_names(method)), "data")
 
 
-def _worst_pole(fit: Fit) -> str:
+def worst_pole(fit: Fit) -> str:
+    """Return magnitude and frequency of the largest pole of an unstable fit, in words."""
     poles = fit.model.poles
     worst = poles[np.argmax(np.abs(poles))]
     dt = fit.model.dt or 1.0
@@ -86,8 +88,8 @@ def _stable_orders(method: Any, decomposition: Any, order: int) -> str:
     return f"Order {found[0]} is stable" if found else ""
 
 
-def _projected(fit: Fit, outside: str) -> Fit:
-    """Reflect the poles outside the unit circle into it; frequencies stay."""
+def projected(fit: Fit) -> Fit:
+    """Return the fit with the poles outside the unit circle reflected; frequencies stay."""
     values, vectors = np.linalg.eig(fit.model.A)
     size = np.abs(values)
     inside = np.where(size > 1, np.minimum(1 / size, INSIDE) / size * values, values)
@@ -95,8 +97,8 @@ def _projected(fit: Fit, outside: str) -> Fit:
     finding = Finding(
         "projected",
         "warning",
-        f"The model was unstable ({outside}) and was projected: its poles outside the unit circle "
-        "were reflected into it.",
+        f"The model was unstable ({worst_pole(fit)}) and was projected: its poles outside the unit "
+        "circle were reflected into it.",
         "Damping of these poles is not to be believed; try another order.",
     )
     model = fit.model

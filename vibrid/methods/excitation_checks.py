@@ -29,6 +29,8 @@ CLIPPED_SHARE = 0.02  # of the samples on an extreme: for motion too fast to res
 TWO_LEVELS = 0.5  # of the samples: a two-level input rests on its extremes by design
 DEAD_LEVEL = 1e-5  # of the median deviation of the channels with the same quantity and unit
 STILL_SHARE = 0.9  # of the samples that equal the one before
+STUCK_RUN = 200  # samples of one value, one after the other: no resolution is that coarse for long
+STUCK_SHARE = 0.02  # of the samples in such runs
 SPECTRUM_LINES = 256
 
 
@@ -168,18 +170,24 @@ def _walked(stream: Stream) -> list[Finding]:
     channels = (*stream.records[0].input_channels, *stream.records[0].output_channels)
     c = len(channels)
     tops = [_Extremes(np.full(c, -np.inf), np.zeros(c), np.zeros(c)) for _ in range(2)]
-    still = np.zeros(c)
+    still, stuck = np.zeros(c), np.zeros(c)
     for segment in stream.segments:
         record = stream.records[segment.record]
         step = rows_per_chunk(c)
         for start in range(segment.start, segment.stop, step):
             rows = record.read(start, min(start + step, segment.stop))
-            still += (rows[1:] == rows[:-1]).sum(axis=0)
+            same = rows[1:] == rows[:-1]
+            count = same.sum(axis=0)
+            still += count
+            for k in np.flatnonzero(count >= STUCK_RUN):
+                runs = np.diff(np.flatnonzero(np.concatenate([[True], ~same[:, k], [True]])))
+                stuck[k] += runs[runs >= STUCK_RUN].sum()
             _rest_on(tops[0], rows)
             _rest_on(tops[1], -rows)
     still /= stream.n_samples
     clipped = _clipped(channels, tops, stream.n_samples, still)
-    return clipped + _dead(channels, still, stream.deviation)
+    dead = _dead(channels, still, stream.deviation)
+    return clipped + dead + _stuck(channels, stuck / stream.n_samples, still, stream.n_inputs)
 
 
 def _rest_on(top: _Extremes, rows: Floats) -> None:
@@ -241,6 +249,26 @@ def _dead(channels: Sequence[Channel], still: Floats, deviation: Floats) -> list
             f"{(deviation / typical)[seen].max():.2g} of their kind's deviation, or the same "
             f"value as the sample before in up to {100 * still[seen].max():.3g} % of the samples.",
             "Check the sensor and its range, or leave the channel out.",
+        )
+    ]
+
+
+def _stuck(
+    channels: Sequence[Channel], share: Floats, still: Floats, n_inputs: int
+) -> list[Finding]:
+    """Say when an output keeps one value for long; a force may rest by design."""
+    late = np.arange(len(channels)) >= n_inputs
+    seen = np.flatnonzero(late & (share > STUCK_SHARE) & (still <= STILL_SHARE))
+    if not len(seen):
+        return []
+    return [
+        Finding(
+            "stuck-channel",
+            "doubt",
+            f"{_listed([channels[int(k)].name for k in seen])} keep one value for {STUCK_RUN} "
+            f"samples or longer, in all up to {100 * share[seen].max():.3g} % of the samples: a "
+            "gap that was filled, a loose cable, or a structure at rest.",
+            "Mark these samples as missing (NaN) unless the structure was at rest.",
         )
     ]
 

@@ -127,19 +127,20 @@ class N4SID:
             )
         layout = Layout(past, future, m, p, tuple(range(m + p)))
         factor = factorize(gram, stream, layout.rows)
-        gamma, state_map, values = self._states(factor.triangle, layout, stream)
-        unit = 1.0 if self.weighting in ("cva", "ssarx") else stream.output_unit
-        states = gamma, state_map, values * unit
+        states = self._states(factor.triangle, layout, stream)
         return assemble(self, stream, gram, layout, factor, states, feedthrough)
 
     def _states(self, R: Floats, layout: Layout, stream: Stream) -> tuple[Floats, Floats, Floats]:
-        if self.weighting == "n4sid":
-            return oblique_states(R, layout, stream.output_balance)
+        """Return Γ, J and singular values, those of outputs in the outputs' unit."""
         found = whitened_by_regression(R, layout) if self.weighting == "ssarx" else None
         if found is not None:
             return found
-        whiten = self.weighting != "moesp"
-        return projected_states(R, layout, stream.output_balance, whiten=whiten)
+        balance, whiten = stream.output_balance, self.weighting in ("cva", "ssarx")
+        if self.weighting == "n4sid":
+            gamma, state_map, values = oblique_states(R, layout, balance)
+        else:
+            gamma, state_map, values = projected_states(R, layout, balance, whiten=whiten)
+        return gamma, state_map, values if whiten else values * stream.output_unit
 
     @one_blas_thread()
     def realize(self, decomposition: Subspace, order: int) -> Fit:
@@ -148,8 +149,21 @@ class N4SID:
         used = replace(self, weighting=decomposition.method.weighting)
         return subspace_fit(used, decomposition, decomposition.realize(order, self.transition))
 
-    def alternatives(self) -> list[N4SID]:
-        """Return the methods that an automatic choice compares."""
+    @one_blas_thread()
+    def alternatives(self, decomposition: Subspace) -> list[Subspace]:
+        """Return the decompositions that an automatic choice compares, all of one factor.
+
+        `decomposition` is this method's own, and the first of them.
+        """
         if self.weighting != "auto":
-            return [self]
-        return [replace(self, weighting=name) for name in COMPARED]
+            return [decomposition]
+        options = [replace(self, weighting=name) for name in COMPARED[1:]]
+        return [decomposition, *(self._weighted(decomposition, option) for option in options)]
+
+    @staticmethod
+    def _weighted(known: Subspace, option: N4SID) -> Subspace:
+        found = option._states(known.factor.triangle, known.layout, known.stream)
+        gamma, state_map, values = found
+        return replace(
+            known, method=option, gamma=gamma, state_map=state_map, singular_values=values
+        )

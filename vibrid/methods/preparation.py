@@ -94,5 +94,8 @@ def horizon(block_rows: int | None, past_rows: int | None) -> tuple[int, int]:
 def check_order(order: object, largest: int, why: str) -> None:
     """Raise `OptionError` unless the order is possible; say what limits it."""
     if isinstance(order, int) and not isinstance(order, bool) and order > largest:
-        raise OptionError(f"order={order} is more than {why} allow: at most {largest}.")
+        raise OptionError(
+            f"order={order} is more than {why} allow: at most {largest}. "
+            "Use a lower order, or a longer horizon where the data hold more."
+        )
     check_whole("order", order, 1, largest)

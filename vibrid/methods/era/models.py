@@ -167,7 +167,10 @@ class HankelModels:
             return self.leading
         if order > self.largest_order or order > self._all.kept:
             most = min(self.largest_order, self.leading.kept if self.is_cut else self._all.kept)
-            raise OptionError(f"order={order} is more than {self.limit} allow: at most {most}.")
+            raise OptionError(
+                f"order={order} is more than {self.limit} allow: at most {most}. "
+                "Use a lower order, or a larger Hankel matrix where the data hold more."
+            )
         return self._all
 
     @cached_property

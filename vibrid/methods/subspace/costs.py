@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cached_property
 
 import numpy as np
 
@@ -13,21 +12,25 @@ from ..result import Realization
 from .layout import Layout
 from .states import NOISE_FREE
 
+_unstable_overflow = np.errstate(over="ignore", invalid="ignore")  # seen by what is not finite
 
+
+@_unstable_overflow
 def prediction_cost(
     R: Floats, layout: Layout, state_map: Floats, model: Realization, samples: int
 ) -> float:
     """Return log det of the covariance of y − ŷ at the last future step.
 
-    ŷ(k) = C Ã^k J W_p + Σ_j C Ã^(k−1−j) [B̃ u(j) + K y(j)] + D u(k).
+    ŷ(k) = C Ã^k J W_p + Σ_j C Ã^(k−1−j) [B̃ u(j) + K y(j)] + D u(k); Ã = A − K C, B̃ = B − K D.
     """
     step, p = layout.future_rows - 1, layout.n_outputs
-    free, driven, corrected = _responses(model, model.K, step)
+    A, B = model.A - model.K @ model.C, model.B - model.K @ model.D
+    free = _free_responses(model.C, A, step)
     errors = np.zeros((len(R), p))
     first = len(R) - layout.future_rows * p
-    errors[: step * layout.n_inputs] = -_stacked(driven, step)
-    errors[first : first + step * p] = -_stacked(corrected, step)
-    errors[layout.past()] = -(free[step] @ state_map[: len(model.A)]).T
+    errors[: step * layout.n_inputs] = -_stacked(free @ B, step)
+    errors[first : first + step * p] = -_stacked(free @ model.K, step)
+    errors[layout.past] = -(free[step] @ state_map[: len(model.A)]).T
     errors[layout.inputs(step)] = -model.D.T
     errors[layout.outputs(step)] = np.eye(p)
     return _log_det(R @ errors, R[:, layout.outputs(step)], samples)
@@ -35,61 +38,40 @@ def prediction_cost(
 
 @dataclass(frozen=True, eq=False)
 class FreeRun:
-    """Triangle of the rows [u(0) … u(last), x, y(steps)] that a simulation needs.
+    """Triangle of the rows [x, y(steps)] less what the future inputs explain of them.
 
-    It is much smaller than the factor, and serves models of every order.
+    What B and D are does not matter to it: under a coloured input they are known far worse
+    than A. It is much smaller than the factor, and serves models of every order.
     """
 
     triangle: Floats
     steps: tuple[int, ...]
-    n_inputs: int
-    n_outputs: int
+    floor: Floats
 
-    @property
-    def _first_output(self) -> int:
-        return len(self.triangle) - len(self.steps) * self.n_outputs
-
-    @cached_property
-    def _floor(self) -> Floats:
-        """Rounding of the outputs' covariance at each step (steps, p, p)."""
-        size = (self.triangle[:, self._first_output :] ** 2).sum(axis=0)
-        diagonal = size.reshape(-1, self.n_outputs, 1) * np.eye(self.n_outputs)
-        return np.asarray(NOISE_FREE**2 * diagonal)
-
+    @_unstable_overflow
     def cost(self, model: Realization, samples: int) -> float:
-        """Return the mean over the steps of log det of the covariance of y − ŷ."""
-        m, p, n = self.n_inputs, self.n_outputs, len(model.A)
-        free, driven, _ = _responses(model, np.zeros_like(model.K), self.steps[-1])
-        states, outputs = (self.steps[-1] + 1) * m, self._first_output
-        errors = np.zeros((len(self.triangle), len(self.steps) * p))
-        for k, step in enumerate(self.steps):
-            columns = slice(k * p, (k + 1) * p)
-            errors[: step * m, columns] = -_stacked(driven, step)
-            errors[step * m : (step + 1) * m, columns] = -model.D.T
-            errors[states : states + n, columns] = -free[step].T
-            errors[outputs + k * p : outputs + (k + 1) * p, columns] = np.eye(p)
-        missed = (self.triangle @ errors).T.reshape(len(self.steps), p, -1)
-        if not np.isfinite(missed).all():
+        """Return the mean over the steps of log det of the covariance of y − C Aᵏ x."""
+        (p, n), count = model.C.shape, len(self.steps)
+        free = _free_responses(model.C, model.A, self.steps[-1])
+        if not np.isfinite(free).all():
             return np.inf
-        covariances = missed @ missed.transpose(0, 2, 1) + self._floor
+        expected = free[list(self.steps)].reshape(count * p, n).T
+        outputs = self.triangle[:, self.triangle.shape[1] - count * p :]
+        missed = (outputs - self.triangle[:, :n] @ expected).T.reshape(count, p, -1)
+        covariances = missed @ missed.transpose(0, 2, 1) + self.floor
         return float(np.linalg.slogdet(covariances / samples)[1].mean())
 
 
 def free_run(R: Floats, layout: Layout, state_map: Floats) -> FreeRun:
-    """Return what simulations over the horizon need: four steps, the last one among them."""
-    last = layout.future_rows - 1
+    """Return what free responses over the horizon need: four steps, the last one among them."""
+    last, p = layout.future_rows - 1, layout.n_outputs
     steps = sorted({max(1, last * k // 4) for k in (1, 2, 3, 4)})
-    outputs = np.concatenate([layout.outputs(step) for step in steps])
-    samples = np.hstack(
-        [
-            R[:, : (last + 1) * layout.n_inputs],
-            R[:, layout.past()] @ state_map.T,
-            R[:, outputs],
-        ]
-    )
-    T = triangle(samples)
-    square = np.pad(T, ((0, samples.shape[1] - len(T)), (0, 0)))
-    return FreeRun(square, tuple(steps), layout.n_inputs, layout.n_outputs)
+    outputs = R[:, np.concatenate([layout.outputs(step) for step in steps])]
+    # the future inputs come first in the factor: their rows hold what they explain
+    free = slice(layout.n_future_inputs, None)
+    samples = np.hstack([R[free, layout.past] @ state_map.T, outputs[free]])
+    size = (outputs**2).sum(axis=0).reshape(-1, p, 1)  # rounding is of the whole outputs
+    return FreeRun(triangle(samples), tuple(steps), NOISE_FREE**2 * size * np.eye(p))
 
 
 def _stacked(responses: Floats, step: int) -> Floats:
@@ -105,12 +87,10 @@ def _log_det(errors: Floats, outputs: Floats, samples: int) -> float:
     return float(np.linalg.slogdet((errors.T @ errors + floor) / samples)[1])
 
 
-def _responses(model: Realization, gain: Floats, count: int) -> tuple[Floats, Floats, Floats]:
-    """Return C Ã^k, C Ã^k B̃ and C Ã^k K for k ≤ count; Ã = A − K C, B̃ = B − K D."""
-    A, B = model.A - gain @ model.C, model.B - gain @ model.D
-    free = np.empty((count + 1, *model.C.shape))
-    free[0] = model.C
-    with np.errstate(over="ignore", invalid="ignore"):  # of an unstable model; seen by the caller
-        for k in range(count):
-            free[k + 1] = free[k] @ A
-        return free, free @ B, free @ gain
+def _free_responses(C: Floats, A: Floats, count: int) -> Floats:
+    """Return C Aᵏ for k ≤ count."""
+    free = np.empty((count + 1, *C.shape))
+    free[0] = C
+    for k in range(count):
+        free[k + 1] = free[k] @ A
+    return free

@@ -90,7 +90,7 @@ def feedback_of(R: Floats, layout: Layout, samples: int) -> Feedback | None:
     steps = min(MOST_STEPS, layout.future_rows - 1 - BETWEEN_SAMPLES)
     if m == 0 or steps < 1:
         return None
-    past = layout.past()[-MOST_REGRESSORS:]
+    past = layout.past[-MOST_REGRESSORS:]
     known = len(past) + m * (1 + BETWEEN_SAMPLES)
     inputs = [layout.inputs(k) for k in range(1 + BETWEEN_SAMPLES + steps)]
     columns = np.concatenate([past, *inputs, layout.outputs(0)])

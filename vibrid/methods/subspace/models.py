@@ -145,8 +145,8 @@ class Subspace:
             samples = np.hstack(
                 [
                     R[:, layout.inputs(0)],
-                    R[:, layout.past(0)] @ J,
-                    R[:, layout.past(1)] @ J,
+                    R[:, layout.past] @ J,
+                    R[:, layout.next_past] @ J,
                     R[:, layout.outputs(0)],
                 ]
             )
@@ -160,8 +160,8 @@ class Subspace:
             # rows weigh by the outputs' deviations, so that units do not
             weights = np.tile(self.stream.output_balance, self.layout.future_rows)[:, None]
             gamma = weights * self.gamma[:, :width]
-            Q, upper = np.linalg.qr(gamma[:-p])
-            self._shifts[width] = upper, Q.T @ gamma[p:]
+            both = triangle(np.hstack([gamma[:-p], gamma[p:]]))[:width]
+            self._shifts[width] = both[:, :width], both[:, width:]
         return self._shifts[width]
 
     @cached_property
@@ -185,9 +185,9 @@ class Subspace:
             return self._with_gain(self._draft(order, transition))
         drafts = [self._draft(order, name) for name in ("regression", "shift")]
         if self.layout.n_inputs:
-            # simulation needs no gain, which is what costs most of small models
+            # a free response needs no gain, which is what costs most of small models
             models = [draft.model for draft in drafts]
-            costs = [(model.radius > STABLE_TO, self.simulation_cost(model)) for model in models]
+            costs = [(model.radius > STABLE_TO, self.free_cost(model)) for model in models]
             return self.realize(order, models[costs.index(min(costs))].transition)
         return min(
             (self.realize(order, "regression"), self.realize(order, "shift")),
@@ -209,10 +209,11 @@ class Subspace:
             self.factor.triangle, self.layout, self.state_map, model, self.n_columns
         )
 
-    def simulation_cost(self, model: Realization) -> float:
-        """Return log det of the covariance of the errors when x = J W_p is simulated on.
+    def free_cost(self, model: Realization) -> float:
+        """Return log det of the covariance of what the free response of x = J W_p misses.
 
-        The mean over four steps of the horizon, the last one among them.
+        Of outputs and states less what the future inputs explain of them; the mean over four
+        steps of the horizon, the last one among them.
         """
         width = self._width(len(model.A))
         if width not in self._free_runs:

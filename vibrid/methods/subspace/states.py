@@ -83,7 +83,7 @@ def whitened_by_regression(R: Floats, layout: Layout) -> tuple[Floats, Floats, F
     Without noise the predictor is not unique: then there is nothing to take off, and the
     caller has to use another weighting.
     """
-    past, now = layout.past(), layout.inputs(0)
+    past, now = layout.past, layout.inputs(0)
     direct, lagged = _predictor_markov(R, layout, past, now)
     error = R[:, layout.outputs(0)] - R[:, now] @ direct - R[:, past] @ lagged
     size = np.linalg.norm(R[:, layout.outputs(0)], axis=0)

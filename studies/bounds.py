@@ -1,4 +1,4 @@
-"""Cramér-Rao bounds of frequencies and damping ratios, from the true system."""
+"""Cramér-Rao bounds, from the true system: of frequencies and damping ratios, of M⁻¹K and M⁻¹D."""
 
 from __future__ import annotations
 
@@ -6,6 +6,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 import vibrid as vb
+from studies.blind_records import Case
+from vibrid.blind.likelihood.components import Components, Signals
+from vibrid.blind.likelihood.modal import modal_estimate
+from vibrid.blind.likelihood.place import Place
 from vibrid.kalman import riccati_gain
 from vibrid.statespace import StateSpace
 
@@ -115,6 +119,41 @@ def ambient_bound(model: StateSpace, n_samples: int, noise_std: Floats) -> tuple
     inverse = _deviations(np.array(columns)) / np.sqrt(n_samples / GRID)
     table = inverse.reshape(len(mu), -1)
     return table[:, 0] / (2 * np.pi), table[:, 1]
+
+
+def blind_bound(case: Case, hertz: Floats, *, known: bool, real: bool) -> tuple[float, float]:
+    """Return the bounds of 𝒦 and 𝒟 from accelerations under sines, relative (Frobenius).
+
+    The amplitudes and the noise are those that a fit at the true poles and frequencies finds, so
+    the noise should be little; the bound grows in proportion to it.
+
+    Parameters
+    ----------
+    case : Case
+    hertz : array (n_frequencies,)
+        Of the sines.
+    known : bool
+        Whether they need not be estimated.
+    real : bool
+        Whether the shapes are known to be real.
+    """
+    n, poles = case.structure.n_dof, case.structure.poles
+    rates = np.concatenate([poles.imag, [] if known else 2 * np.pi * hertz])
+    modes = np.arange(len(rates)) < n
+    decays = np.where(modes, np.resize(-poles.real, len(rates)), 0)
+    given = 2 * np.pi * hertz if known else np.zeros(0)
+    signals = Signals((np.asarray(case.record.outputs),), case.record.dt, given)
+    free = Components(rates, decays, modes, np.zeros_like(modes), np.zeros((1, len(rates))))
+    place = Place(free, signals)
+    if real:
+        phases = 0.5 * np.angle(np.sum(place.shapes(0) ** 2, axis=0)) * modes
+        place = Place(Components(rates, decays, modes, modes, phases[None]), signals)
+    variances = np.diag(modal_estimate(place, modes, np.full(n, 2)).normalized()[1])
+    halves = np.sqrt([variances[: n * n].sum(), variances[n * n :].sum()])
+    return (
+        float(halves[0] / np.linalg.norm(case.stiffness)),
+        float(halves[1] / np.linalg.norm(case.damping)),
+    )
 
 
 def _deviations(J: Floats) -> Floats:

@@ -1,6 +1,6 @@
 """The input of a known system from its output: example 4.2 of Han, Bohn & Bauer (2021).
 
-Run `python -m studies.input_estimation`; it takes seconds.
+Run `python -m studies.input_estimation`; it takes a minute.
 """
 
 from __future__ import annotations
@@ -8,6 +8,7 @@ from __future__ import annotations
 import argparse
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -69,12 +70,13 @@ def run(kind: str, variance: float, seed: int) -> Run:
     v = signal(rng)
     found = estimate(v, variance, kind, rng)
     off, start = found.inputs[:, 0] - v, int(SETTLED * N_SAMPLES)
+    said = start if kind == "filter" else 0
     return Run(
         kind,
         variance,
         float(np.sqrt(np.mean(off**2)) / v.std()),
         float(np.sqrt(np.mean(off[start:] ** 2)) / v.std()),
-        float(np.sqrt(np.mean(found.inputs_std[:, 0] ** 2)) / v.std()),
+        float(np.sqrt(np.mean(found.inputs_std[said:, 0] ** 2)) / v.std()),
     )
 
 
@@ -88,30 +90,65 @@ def plots(folder: Path) -> None:
     amplitudes = [2 / window.sum() * np.abs(np.fft.rfft(window * each)) for each in curves]
     t, hertz = SYSTEM.dt * np.arange(N_SAMPLES), np.fft.rfftfreq(N_SAMPLES, SYSTEM.dt)
     low = hertz <= 2 * BAND_HZ
-    draw(folder / "input_estimation_time.png", "time [s]", t, curves)
+    draw(folder / "input_estimation_time.png", ("time [s]", "input", "linear"), t, curves)
+    labels = ("frequency [Hz]", "amplitude of the input", "log")
     levels = [each[low] for each in amplitudes]
-    draw(folder / "input_estimation_frequency.png", "frequency [Hz]", hertz[low], levels, "log")
+    draw(folder / "input_estimation_frequency.png", labels, hertz[low], levels)
 
 
-def draw(path: Path, label: str, x: Floats, curves: list[Floats], scale: str = "linear") -> None:
+def draw(path: Path, labels: tuple[str, str, str], x: Floats, curves: list[Floats]) -> None:
     """Write a plot: the input under its estimate, and the error below."""
+    figure, (top, bottom) = subplots(2, sharex=True)
+    top.plot(x, curves[0], label="true", color="0.6", linewidth=2.5)
+    top.plot(x, curves[1], label="estimate", color="C0", linewidth=0.8)
+    bottom.plot(x, curves[2], color="C3", linewidth=0.8)
+    bottom.set(xlabel=labels[0], xlim=(x[0], x[-1]), ylabel="error")
+    top.set(ylabel=labels[1])
+    top.legend(loc="lower right", bbox_to_anchor=(1, 1), ncols=2, frameon=False)
+    for axes in (top, bottom):
+        axes.set_yscale(labels[2])
+        axes.grid(alpha=0.3)
+    figure.align_ylabels()
+    save(figure, path)
+
+
+def draw_errors(path: Path, runs: list[Run]) -> None:
+    """Write a plot of the errors over the noise level."""
+    figure, axes = subplots(1)
+    for kind, colour in zip(KINDS, ("C0", "C1"), strict=True):
+        errors = [medians(runs, kind, variance) for variance in VARIANCES]
+        noise = np.sqrt(VARIANCES)
+        axes.loglog(noise, [each.settled for each in errors], "o-", color=colour, label=kind)
+        said = [each.predicted for each in errors]
+        axes.loglog(noise, said, "--", color=colour, label=f"{kind}, predicted")
+    axes.set(xlabel="standard deviation of the noise", ylabel="error over the signal's size")
+    axes.legend()
+    axes.grid(alpha=0.3)
+    save(figure, path)
+
+
+def subplots(rows: int, **options: bool) -> tuple[Any, Any]:
     import matplotlib
 
     matplotlib.use("Agg")
     import matplotlib.pyplot as plt
 
-    figure, (top, bottom) = plt.subplots(2, 1, figsize=(7, 4.5), sharex=True, dpi=90)
-    top.plot(x, curves[0], label="input", color="0.6", linewidth=2.5)
-    top.plot(x, curves[1], label="estimate", color="C0", linewidth=0.8)
-    bottom.plot(x, curves[2], label="error", color="C3", linewidth=0.8)
-    bottom.set(xlabel=label, xlim=(x[0], x[-1]))
-    for axes in (top, bottom):
-        axes.set_yscale(scale)
-        axes.legend(loc="upper right")
-        axes.grid(alpha=0.3)
+    return plt.subplots(rows, 1, figsize=(7, 4.5), dpi=90, **options)
+
+
+def save(figure: Any, path: Path) -> None:
+    import matplotlib.pyplot as plt
+
     figure.tight_layout()
     figure.savefig(path)
     plt.close(figure)
+
+
+def medians(runs: list[Run], kind: str, variance: float) -> Run:
+    """Return the medians over the seeds of one kind and noise level."""
+    chosen = [run for run in runs if (run.kind, run.variance) == (kind, variance)]
+    names = ("error", "settled", "predicted")
+    return Run(kind, variance, *(float(np.median([getattr(r, n) for r in chosen])) for n in names))
 
 
 def page(runs: list[Run], seeds: int) -> str:
@@ -124,14 +161,19 @@ the band. Root mean square errors over that of the signal, medians of {seeds} se
 
 The smoother uses all samples for each estimate, the filter only those before. The filter
 begins without knowledge, so its error is also given after the first tenth of the record.
-*Predicted* is what the estimate says of itself, from the noise alone.
+*Predicted* is what the estimate says of itself, from the noise alone; of the filter after the
+first tenth.
 
 Written by `python -m studies.input_estimation`.
 
-| noise variance | smoother | predicted | filter | after a tenth |
-|---:|---:|---:|---:|---:|
+| noise variance | smoother | predicted | filter | after a tenth | predicted |
+|---:|---:|---:|---:|---:|---:|
 """
     tail = f"""
+![Over noise](input_estimation_noise.png)
+
+Smoother and filter after the first tenth.
+
 ![Over time](input_estimation_time.png)
 
 ![Over frequency](input_estimation_frequency.png)
@@ -140,14 +182,13 @@ The smoother at noise variance {SHOWN:g}; amplitudes under a Hann window.
 """
     lines = []
     for variance in VARIANCES:
-        smoother, filtered = (
-            [r for r in runs if (r.kind, r.variance) == (kind, variance)] for kind in KINDS
-        )
+        smoother, filtered = (medians(runs, kind, variance) for kind in KINDS)
         cells = (
-            np.median([r.error for r in smoother]),
-            np.median([r.predicted for r in smoother]),
-            np.median([r.error for r in filtered]),
-            np.median([r.settled for r in filtered]),
+            smoother.error,
+            smoother.predicted,
+            filtered.error,
+            filtered.settled,
+            filtered.predicted,
         )
         lines.append(f"| {variance:g} | {' | '.join(f'{each:.2g}' for each in cells)} |\n")
     return head + "".join(lines) + tail
@@ -167,6 +208,7 @@ def main() -> None:
         ]
         options.output.parent.mkdir(parents=True, exist_ok=True)
         plots(options.output.parent)
+        draw_errors(options.output.parent / "input_estimation_noise.png", runs)
     options.output.write_text(page(runs, options.seeds), encoding="utf-8")
     print(f"{options.output} written")
 

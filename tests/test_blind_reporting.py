@@ -8,11 +8,13 @@ from typing import Any
 
 import numpy as np
 import pytest
-from blind_records import REFERENCE, off, reference, under_noise, uniform_chain
 from rich.console import Console
 
+from studies.blind_records import REFERENCE, off, reference, under_noise, uniform_chain
 from vibrid.blind import BlindFit, identify_blind
 from vibrid.cli import main
+from vibrid.cli.work import STEPS
+from vibrid.excitation import white_noise
 from vibrid.reporting.blind import blind_as_json, describe_blind
 
 
@@ -32,7 +34,7 @@ def test_an_answer_is_printed_whole() -> None:
         "K",
         "Modes",
         "frequencies 0.7, 1.9, 3.3",
-        "RMS",
+        "force f, RMS",
         "periodic forces",
     ):
         assert word in text
@@ -44,6 +46,15 @@ def test_a_refusal_names_its_rule(rng: np.random.Generator) -> None:
     case = under_noise(uniform_chain(3), [0, 1, 2], duration=20.0, snr_db=50, rng=rng)
     text = printed(identify_blind(case.record, 3, excitation="point"))
     assert "refused, in_band" in text and "M⁻¹K [" not in text
+
+
+def test_an_assumption_is_printed(rng: np.random.Generator) -> None:
+    """Ambient vibration is the user's word, and the answer repeats it."""
+    structure = uniform_chain(2)
+    force = white_noise(6000, 2, rng=rng)
+    record = structure.simulate(force, 0.05, forces=structure.dofs, noise=0.01, rng=rng)
+    text = printed(identify_blind(record.select(inputs=[]), 2, excitation="ambient"))
+    assert "assumed: broadband forces act on every degree of freedom" in text
 
 
 def test_rows_that_are_not_known_are_dashes(rng: np.random.Generator) -> None:
@@ -83,7 +94,30 @@ def test_command_with_masses(tmp_path: Path, capsys: pytest.CaptureFixture[str])
     file = written(tmp_path / "run.csv", reference(0, 60).record.outputs[:], 0.02)
     found = run_json(capsys, 0, file, "--dofs", 3, "--mass", "2,1.5,1")
     assert off(np.array(found["stiffness"]), REFERENCE.stiffness) < 2e-3
+    force = np.array(found["force_rms"]) / found["normalized_force_rms"]
+    np.testing.assert_allclose(force, [2.0, 1.5, 1.0])
     np.testing.assert_allclose(found["input_frequencies_hz"], [0.7, 1.9, 3.3, 5.1, 6.4], rtol=1e-3)
+
+
+def test_command_with_a_mass_matrix(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Nine numbers for three DOFs are the matrix, row by row."""
+    file = written(tmp_path / "run.csv", reference(0, 60).record.outputs[:], 0.02)
+    found = run_json(capsys, 0, file, "--dofs", 3, "--mass", "2,0,0,0,1.5,0,0,0,1")
+    assert found["mass"] == [[2, 0, 0], [0, 1.5, 0], [0, 0, 1]]
+
+
+def test_progress_is_told_on_every_way(rng: np.random.Generator) -> None:
+    """Each excitation says what it does while it runs, in words that the command line knows."""
+    case = under_noise(uniform_chain(3), [2], duration=20.0, snr_db=50, rng=rng)
+    for options in (
+        {"excitation": "point"},
+        {"excitation": "ambient"},
+        {"excitation": "decay"},
+        {"method": "subspace"},
+    ):
+        heard: list[str] = []
+        identify_blind(case.record, 3, progress=lambda what, *_, h=heard: h.append(what), **options)
+        assert heard and set(heard) <= set(STEPS)
 
 
 def test_command_exits_1_when_refused(

@@ -2,24 +2,19 @@
 
 from __future__ import annotations
 
+import re
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
-from blind_records import Case, off, under_noise, uniform_chain
 
 import vibrid as vb
+from studies.blind_records import WEAK_BAND, off, two_forces, under_noise, uniform_chain
 from vibrid.blind import blind_rows, identify_blind
 from vibrid.blind.closure import close_rows
 from vibrid.blind.weak_rows import regress_rows
 from vibrid.blind.windowed import ramp_window, spectra_of, windowed_motions
-
-BAND = (0.3, 8.0)
-
-
-def two_forces(snr_db: float | None, rng: np.random.Generator) -> Case:
-    """Return five masses, forces on the second and the last, 20 s."""
-    return under_noise(uniform_chain(5), [1, 4], duration=20.0, snr_db=snr_db, rng=rng)
 
 
 def test_window_and_its_derivatives() -> None:
@@ -47,7 +42,7 @@ def test_weak_derivatives_are_those_of_the_signal() -> None:
 def test_two_forces_without_noise(rng: np.random.Generator) -> None:
     """Free rows to 1e-6, forced rows found and left NaN."""
     case = two_forces(None, rng)
-    found = blind_rows(case.record, 5, force_band=BAND)
+    found = blind_rows(case.record, 5, force_band=WEAK_BAND)
     assert found.accepted and found.forced_dofs == ("f2", "f5")
     free = [0, 2, 3]
     assert off(found.normalized_stiffness[free], case.stiffness[free]) < 1e-6
@@ -57,19 +52,40 @@ def test_two_forces_without_noise(rng: np.random.Generator) -> None:
 
 @pytest.mark.parametrize(("snr_db", "limit"), [(40, 1e-3), (20, 1e-2)])
 def test_two_forces_in_noise(snr_db: float, limit: float, rng: np.random.Generator) -> None:
-    """Three runs: the forced DOFs are found in all, deviations fit, the median error is small."""
-    errors = []
-    for _ in range(3):
+    """Five runs: the forced DOFs are found in all, deviations fit, the median error is small."""
+    errors, scores = [], []
+    free = [0, 2, 3]
+    for _ in range(5):
         case = two_forces(snr_db, rng)
         found = blind_rows(case.record, 5)
         assert found.forced_dofs == ("f2", "f5")
-        free = [0, 2, 3]
+        wrong = (found.normalized_stiffness - case.stiffness)[free]
         errors.append(off(found.normalized_stiffness[free], case.stiffness[free]))
-        z = (found.normalized_stiffness - case.stiffness)[free] / found.normalized_stiffness_std[
-            free
-        ]
-        assert 0.3 < np.median(np.abs(z)) < 1.2
+        scores.append(np.abs(wrong / found.normalized_stiffness_std[free]))
     assert np.median(errors) < limit
+    assert 0.4 < np.median(scores) < 1.0  # .67 where the deviations are right
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("snr_db", [40, 20])
+def test_two_forces_reach_the_bound(snr_db: float) -> None:
+    """Forty runs: RMS error within 15 % of the Cramér-Rao bound of single rows, 4.97 e-4 at 40 dB.
+
+    Single runs reach twice that: 1e-3 is no limit that all of them can keep. The bound of all
+    rows together is 4 % lower.
+    """
+    errors, misfits = [], []
+    for seed in range(40):
+        case = two_forces(snr_db, np.random.default_rng(seed))
+        found = blind_rows(case.record, 5)
+        free = [0, 2, 3]
+        assert found.forced_dofs == ("f2", "f5")
+        misfits.append(found.diagnostics.figures["row_misfits"][free])
+        errors.append(off(found.normalized_stiffness[free], case.stiffness[free]))
+    spread = (found.diagnostics.figures["row_limit"] - 1) / 3
+    assert 0.8 < np.std(misfits) / spread < 1.2  # χ², and the noise that it is measured by
+    bound = 4.97e-4 * 10 ** (2 - snr_db / 20)
+    assert np.sqrt(np.mean(np.square(errors))) < 1.15 * bound
 
 
 def test_the_mean_of_a_transient_is_no_force(rng: np.random.Generator) -> None:
@@ -83,7 +99,9 @@ def test_the_mean_of_a_transient_is_no_force(rng: np.random.Generator) -> None:
 def test_reweighting_beats_plain_least_squares(rng: np.random.Generator) -> None:
     """At 20 dB the errors-in-variables fit leaves χ² near 1 in free rows, far more in forced."""
     case = two_forces(20, rng)
-    rows = regress_rows(spectra_of((np.asarray(case.record.outputs),), 0.01, np.full(5, 2), BAND))
+    rows = regress_rows(
+        spectra_of((np.asarray(case.record.outputs),), 0.01, np.full(5, 2), WEAK_BAND)
+    )
     assert (rows.misfits[[0, 2, 3]] > 0.7).all() and (rows.misfits[[0, 2, 3]] < 1.35).all()
     assert (rows.misfits[[1, 4]] > 6).all()
 
@@ -109,14 +127,69 @@ def test_closure_takes_what_is_allowed_only() -> None:
     bare = close_rows(P, 1e-6 * np.ones((3, 6)), free, None, none)
     assert np.isnan(bare.P[2]).all() and not bare.said
     known = close_rows(P, 1e-6 * np.ones((3, 6)), free, np.eye(3), none)
-    np.testing.assert_allclose(known.P[2, :2], P[2, :2])
-    assert np.isnan(known.P[2, 2]) and np.isnan(known.P[2, 3:]).all()
+    np.testing.assert_allclose(known.P[2, [0, 1, 3, 4]], P[2, [0, 1, 3, 4]], atol=1e-12)
+    assert np.isnan(known.P[2, [2, 5]]).all()
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_force_history_and_its_error(seed: int) -> None:
+    """At 40 dB the force starts where noise permits, and errs above as much as is said."""
+    case = under_noise(
+        uniform_chain(3), [2], duration=60.0, snr_db=40, rng=np.random.default_rng(seed)
+    )
+    found = identify_blind(case.record, 3, excitation="point", mass=np.ones(3), ungrounded=["f3"])
+    lowest = found.diagnostics.figures["lowest_force_hz"][2]
+    assert 0.2 < lowest < 0.5  # the force's own band begins at .3 Hz
+    spectrum = np.fft.rfft(case.force[:, 2])
+    spectrum[np.fft.rfftfreq(6000, 0.01) < lowest] = 0
+    wrong = (found.normalized_force[:, 2] - np.fft.irfft(spectrum))[700:-700]
+    assert 0.7 < wrong.std() / found.normalized_force_std[2] < 1.4
+
+
+def test_noise_is_read_where_nothing_moves(rng: np.random.Generator) -> None:
+    """A band below part of the motion takes none of it for noise."""
+    case = under_noise(uniform_chain(3), [2], duration=30.0, snr_db=50, rng=rng)
+    y = (np.asarray(case.record.outputs),)
+    whole, part = (spectra_of(y, 0.01, np.full(3, 2), band) for band in (None, (0.3, 2.0)))
+    np.testing.assert_allclose(part.noise, whole.noise, rtol=1e-6)
+
+
+def test_records_of_unlike_lengths(rng: np.random.Generator) -> None:
+    """Their lines hold unlike powers of the same noise; the free rows are told all the same."""
+    for cut in (300, 600):
+        record = under_noise(uniform_chain(3), [2], duration=30.0, snr_db=30, rng=rng).record
+        found = blind_rows([record.slice(0, cut), record.slice(cut, 3000)], 3)
+        assert found.forced_dofs == ("f3",)
+        assert found.diagnostics.figures["row_misfits"][:2].max() < 1.2
+
+
+def test_a_sensor_that_lags_leaves_no_damping(rng: np.random.Generator) -> None:
+    """2 ms at one sensor: M⁻¹D would not be symmetric; the lag is told, M⁻¹K hardly differs."""
+    case = under_noise(uniform_chain(3), [2], duration=60.0, snr_db=50, rng=rng)
+    first, second, third = case.record.output_channels
+    early = [first, replace(second, delay=0.002), third]
+    moved = vb.Record(case.record.outputs, dt=0.01, output_channels=early).correct_delays()
+    found = identify_blind(moved, 3, excitation="point")
+    assert off(found.normalized_stiffness[:2], case.stiffness[:2]) < 1e-2
+    assert np.isnan(found.normalized_damping).all()
+    said = next(f for f in found.verdict.findings if f.code == "asymmetric_damping").sentence
+    assert re.search(r"f1 lagged (1\.9\d|2\.0\d|2) ms behind that at f2", said)
+
+
+def test_several_relations_are_not_taken_for_forces(rng: np.random.Generator) -> None:
+    """Noise alone: no row is forced, and none known; masses that close nothing are said."""
+    record = vb.Record(rng.standard_normal((3000, 3)), dt=0.01)
+    assert "Several relations" in str(identify_blind(record, 3, excitation="point").verdict)
+    case = under_noise(uniform_chain(3), [2], duration=30.0, snr_db=50, rng=rng)
+    for options in ({"mass": 3.0}, {"ungrounded": ["f3"]}, {"mass": np.eye(3) + 0.1}):
+        found = identify_blind(case.record, 3, excitation="point", **options)
+        assert any(each.code == "not_closed" for each in found.verdict.findings)
 
 
 def test_a_band_below_the_modes_is_not_believed(rng: np.random.Generator) -> None:
     """Eight masses, a force that leaves two modes out: several relations fit, so none is given."""
     case = under_noise(uniform_chain(8), [7], duration=30.0, snr_db=40, rng=rng)
-    found = blind_rows(case.record, 8, force_band=BAND)
+    found = blind_rows(case.record, 8, force_band=WEAK_BAND)
     assert not found.accepted and np.isnan(found.normalized_stiffness).all()
 
 
@@ -157,8 +230,9 @@ def test_bands_that_do_not_fit(rng: np.random.Generator) -> None:
     record = two_forces(40, rng).record
     with pytest.raises(vb.OptionError, match="noise is read"):
         blind_rows(record, 5, force_band=(1.0, 49.0))
-    with pytest.raises(vb.OptionError, match="force_band"):
-        blind_rows(record, 5, force_band=(8.0, 1.0))
+    for band in ((8.0, 1.0), (np.nan, 2.0), (1.0, 2.0, 3.0)):
+        with pytest.raises(vb.OptionError, match="force_band"):
+            blind_rows(record, 5, force_band=band)
 
 
 def test_frame_with_the_table_hidden(shared_data: Path) -> None:
@@ -181,3 +255,6 @@ def test_frame_with_the_table_hidden(shared_data: Path) -> None:
         found.normalized_stiffness[1:], known.normalized_stiffness[1:], rtol=0.05
     )
     assert "floor1" in found.verdict.missing[0]
+    assert np.isnan(found.normalized_damping).all()  # the top sensor lags by 2 ms
+    lag = next(f for f in found.verdict.findings if f.code == "asymmetric_damping")
+    assert "sensor at floor3 lagged" in lag.sentence

@@ -190,6 +190,61 @@ def test_published_medians(snr, stiffness, damping):
     assert (np.median(found, axis=0) < [stiffness, damping]).all()
 
 
+def test_inexact_poles_are_no_missing_mode_and_are_said():
+    """Sines near the modes: ten standard deviations off the bound, accepted, and so said."""
+    off = []
+    for seed in range(3):
+        near = np.array([1.3, 3.1, 4.6])
+        record, _ = response(np.random.default_rng(seed), near, n_samples=2400, snr=60)
+        found = blind_subspace(record, 3)
+        assert found.accepted
+        modes = found.modes
+        off.append((modes.frequencies_hz - structure().frequencies_hz) / modes.frequencies_std)
+    assert np.abs(off).max() < 4 and np.sqrt(np.mean(np.square(off))) > 0.4
+
+
+def test_a_mode_near_a_frequency_given_stays_a_mode(rng):
+    """A frequency where no force is, but a mode: unseen, and the answer as without it."""
+    record, _ = response(rng, snr=60)
+    wrong = float(structure().frequencies_hz[1])
+    found = blind_subspace(record, 3, input_frequencies_hz=[*FREQUENCIES, wrong])
+    assert found.accepted and error(found.normalized_stiffness, truth()[0]) < 5e-3
+    assert "frequency_unseen" in [each.code for each in found.verdict.findings]
+
+
+def test_a_horizon_of_the_user_is_not_checked_with_a_useless_one(rng):
+    """40 block rows suffice; 27 would not see the slow mode."""
+    record, _ = response(np.random.default_rng(3), snr=60)
+    assert blind_subspace(record, 3, block_rows=40).accepted
+
+
+def test_a_decay_is_called_so(rng):
+    """No sine at all: no force, and known to be none."""
+    record, _ = response(rng, snr=60, amplitude=0.0)
+    found = blind_subspace(record, 3)
+    assert found.verdict.kind == "decay" and found.verdict.determined["normalized_force"]
+    np.testing.assert_array_equal(found.normalized_force, 0)
+
+
+def test_a_force_that_noise_drowns_is_not_given(rng):
+    """From half a second the five sines of the force cannot be told apart."""
+    record, _ = response(rng, snr=60)
+    found = blind_subspace(record, 3, stretch=(10.0, 10.5))
+    assert found.accepted and not found.verdict.determined["normalized_force"]
+    assert np.isnan(found.normalized_force).all() and np.isnan(found.force_phasors).all()
+    assert "force_undetermined" in [each.code for each in found.verdict.findings]
+    with pytest.raises(DataError, match="5 samples does not tell 17 amplitudes"):
+        blind_subspace(record, 3, stretch=(10.0, 10.1))
+
+
+@pytest.mark.parametrize("order", [0, -2, 16.0, 500])
+def test_an_impossible_order_is_refused(rng, order):
+    """Neither cut down silently nor an accident of the linear algebra."""
+    record, _ = response(rng, snr=60)
+    with pytest.raises(OptionError, match=r"order(=500 is more than 150 block rows| must be)"):
+        blind_subspace(record, 3, order=order)
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("snr", "stiffness", "damping", "right"),
@@ -247,8 +302,16 @@ def test_the_candidate_is_kept(rng):
     """What was refused stands among the figures, with the figures of the rules."""
     record, _ = response(rng, snr=50)
     found = blind_subspace(record.select(outputs=list(record.output_names[:2])), 2)
-    assert found.diagnostics.figures["candidate_stiffness"].shape == (2, 2)
+    for name in ("candidate_stiffness", "candidate_damping"):
+        assert np.isfinite(found.diagnostics.figures[name]).all()
     assert found.verdict.refusals[0].figures
+
+
+def test_twin_sensors_are_refused(rng):
+    """Two channels of one motion: shapes that depend on each other."""
+    record, _ = response(rng, snr=60)
+    twins = Record(record.outputs[:, [0, 0, 2]], dt=DT)
+    refused(blind_subspace(twins, 3), "R7")
 
 
 def test_a_frequency_that_is_not_there_is_said(rng):
@@ -299,6 +362,12 @@ def test_a_force_outside_the_modes_with_noise(rng):
     record, force = random_response(rng, 6.0, 10.0, n_samples=800, snr=60)
     found = blind_finite_signal(record, 3, force_band=(5.9, 10.1))
     assert (np.array(errors(found, force)) < [1e-3, 0.1, 0.1]).all()
+
+
+def test_a_band_from_zero_is_a_basis_of_dependent_lines():
+    """Lines so dense that singular values do not converge; the modes lie within: refused."""
+    record, _ = random_response(np.random.default_rng(5), 6.0, 10.0, n_samples=800, snr=60)
+    assert not blind_finite_signal(record, 3, force_band=(0.0, 10.1)).accepted
 
 
 def test_a_force_in_the_band_of_the_modes_is_refused(rng):

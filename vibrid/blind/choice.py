@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from collections.abc import Sequence
+from dataclasses import dataclass, fields, replace
 
+import numpy as np
 from numpy.typing import ArrayLike
 
 from ..errors import OptionError, check_choice
 from ..fit import Finding
 from ..physical import Topology
 from ..record import Record
+from ..statespace import HOLDS
 from .ambient import blind_ambient
 from .finite_signal import blind_finite_signal
 from .likelihood import blind_likelihood, blind_measured
@@ -21,6 +23,24 @@ from .subspace import blind_subspace
 
 EXCITATIONS = ("auto", "periodic", "point", "base", "ambient", "decay")
 METHODS = ("ml", "subspace")
+HEEDED = {  # what each way has a use for, besides masses
+    "auto": (
+        "input_frequencies_hz",
+        "hold",
+        "structure",
+        "shapes",
+        "force_band",
+        "ungrounded",
+    ),
+    "excitation='periodic'": ("input_frequencies_hz", "hold", "structure", "shapes"),
+    "excitation='decay'": ("structure", "shapes"),
+    "excitation='point'": ("force_band", "ungrounded"),
+    "excitation='base'": ("force_band", "ungrounded"),
+    "excitation='ambient'": ("shapes",),
+    "measured forces": ("input_frequencies_hz", "hold"),
+    "method='subspace'": ("input_frequencies_hz", "hold"),
+    "method='subspace' and force_band": ("force_band",),
+}
 TRIED = {"periodic": "A periodic force was", "point": "A force at some DOFs only was"}
 
 
@@ -74,7 +94,8 @@ def identify_blind(
     force_free : (start, stop), optional
         A stretch without any force [s], taken as a decay.
     ungrounded : sequence of str
-        DOFs without a spring to the ground, which close the row of a point force.
+        DOFs without a spring to the ground, which close the row of a point force where masses
+        are given too.
     progress : callable (what, done, total), optional
 
     Returns
@@ -86,7 +107,8 @@ def identify_blind(
     Raises
     ------
     OptionError
-        n_dof other than the number of sensors; options that do not fit.
+        n_dof other than the number of sensors; options that do not fit, or that the excitation
+        has no use for.
     DataError
         Gaps, too few samples, constant channels, records that do not go together.
 
@@ -97,91 +119,172 @@ def identify_blind(
     """
     check_choice("excitation", excitation, EXCITATIONS)
     check_choice("method", method, METHODS)
+    check_choice("hold", hold, HOLDS)
     records = [data] if isinstance(data, Record) else list(data)
-    measured = all(record.n_inputs for record in records) and excitation in ("auto", "periodic")
-    _check_unused(excitation, method, measured, structure, shapes)
-    if force_band is not None:
-        _check_band(excitation, measured and method == "ml", structure, force_free)
+    if not records:
+        raise OptionError("data is empty; give a Record or several.")
     if force_free is not None:
-        if excitation not in ("auto", "decay"):
-            raise OptionError(f"force_free is a decay; it does not go with {excitation!r}.")
+        _check_free(excitation, force_band)
         records, excitation = [each.between(*force_free) for each in records], "decay"
+    known = _Known(input_frequencies_hz, hold, structure, shapes, force_band, ungrounded)
+    question = _Question(records, n_dof, known, mass, progress)
     if method == "subspace":
-        if force_band is not None and excitation == "auto":
-            return _limited(records, n_dof, force_band, input_frequencies_hz, mass)
-        return _subspace(records, n_dof, excitation, input_frequencies_hz, hold, mass)
-    if excitation == "ambient":
-        return blind_ambient(
-            _only(records, "excitation='ambient'"), n_dof, mass=mass, shapes=shapes
-        )
-    place = {"force_band": force_band, "mass": mass, "ungrounded": ungrounded}
-    if excitation in ("point", "base"):
-        return blind_rows(records, n_dof, excitation=excitation, **place)  # type: ignore[arg-type]
-    if measured and excitation != "decay":
-        _check_forces(records)
-        return blind_measured(
-            records,
-            n_dof,
-            input_frequencies_hz=input_frequencies_hz,
-            hold=hold,
-            mass=mass,
-            progress=progress,
-        )
-    found = blind_likelihood(
-        records,
-        n_dof,
-        input_frequencies_hz=input_frequencies_hz,
-        hold=hold,
-        mass=mass,
-        structure=structure,
-        shapes=shapes,
-        progress=progress,
-    )
-    unexplained = any(each.rule == "R4" for each in found.verdict.refusals)
-    if excitation != "auto" or not unexplained or structure is not None:
-        return found
-    tried = {"periodic": found}
-    if n_dof > 1:  # else no row is free of force
-        found = tried["point"] = blind_rows(records, n_dof, **place)  # type: ignore[arg-type]
-    if not found.accepted and force_band is not None and len(records) == 1:
-        found = blind_finite_signal(records[0], n_dof, force_band=force_band, mass=mass)
-    return _after(found, {name: each for name, each in tried.items() if each is not found})
+        return question.by_subspace(excitation)
+    return question.by_excitation(excitation)
 
 
-def _check_band(
-    excitation: str, measured: bool, structure: object, force_free: tuple[float, float] | None
-) -> None:
-    """Refuse the band of a force where nothing would heed it."""
-    if force_free is not None:
+def _check_free(excitation: str, force_band: tuple[float, float] | None) -> None:
+    if force_band is not None:
         raise OptionError("Give force_band or force_free, not both.")
-    if excitation not in ("auto", "point", "base"):
-        raise OptionError(f"force_band is not used with excitation={excitation!r}; leave it out.")
-    if measured:
-        raise OptionError(
-            "force_band is not used with measured forces; leave it out, or them with "
-            "select(inputs=[])."
+    if excitation not in ("auto", "decay"):
+        raise OptionError(f"force_free is a decay; it does not go with {excitation!r}.")
+
+
+@dataclass(frozen=True)
+class _Known:
+    """What the user says of forces and structure, as in `identify_blind`."""
+
+    input_frequencies_hz: Sequence[float] | None = None
+    hold: str = "band_limited"
+    structure: Topology | str | None = None
+    shapes: str = "auto"
+    force_band: tuple[float, float] | None = None
+    ungrounded: Sequence[str] = ()
+
+    def check_heeded(self, way: str) -> None:
+        """Refuse options that a way has no use for: none is passed over in silence."""
+        for field in fields(self):
+            value = getattr(self, field.name)
+            if field.name not in HEEDED[way] and _is_given(value, field.default):
+                shown = repr(value) if isinstance(field.default, str) else ""
+                raise OptionError(f"{field.name}={shown} is not used with {way}; leave one out.")
+
+
+def _is_given(value: object, default: object) -> bool:
+    if value is None or isinstance(value, str):
+        return value != default
+    return np.size(np.asarray(value, dtype=object)) > 0
+
+
+@dataclass(frozen=True, eq=False)
+class _Question:
+    """Records and what is known of them; each method is one way to an answer."""
+
+    records: list[Record]
+    n_dof: int
+    known: _Known
+    mass: ArrayLike | None
+    progress: Progress | None
+
+    def by_excitation(self, excitation: str) -> BlindFit:
+        if excitation in ("auto", "periodic") and all(each.n_inputs for each in self.records):
+            return self._by_measured_forces()
+        way = excitation if excitation == "auto" else f"excitation={excitation!r}"
+        self.known.check_heeded(way)
+        if excitation == "auto":
+            return self._automatically()
+        if excitation == "ambient":
+            return self._as_ambient()
+        if excitation in ("point", "base"):
+            return self._by_rows(excitation)
+        found = self._by_oscillations()
+        return _doubted(found) if excitation == "decay" else found
+
+    def by_subspace(self, excitation: str) -> BlindFit:
+        if excitation not in ("auto", "periodic", "decay"):
+            raise OptionError(
+                f"method='subspace' is for periodic forces and decays; leave method= out for "
+                f"excitation={excitation!r}."
+            )
+        record, known = self._only("method='subspace'"), self.known
+        if known.force_band is not None and excitation == "auto":
+            known.check_heeded("method='subspace' and force_band")
+            return self._outside_the_band()
+        known.check_heeded("method='subspace'")
+        self._report("subspace")
+        return blind_subspace(
+            record,
+            self.n_dof,
+            input_frequencies_hz=known.input_frequencies_hz,
+            hold=known.hold,
+            mass=self.mass,
         )
-    if structure is not None:
-        raise OptionError("structure= is not used with force_band; leave one out.")
 
+    def _automatically(self) -> BlindFit:
+        """Try periodic forces and decays, then forces at some DOFs, then outside the modes."""
+        known = self.known
+        if known.force_band is not None and known.structure is not None:
+            raise OptionError("structure= is not used with force_band; leave one out.")
+        found = self._by_oscillations()
+        unexplained = any(each.rule == "R4" for each in found.verdict.refusals)
+        if not unexplained or known.structure is not None:
+            return found
+        tried = [("periodic", found)]
+        if self.n_dof > 1:  # else no row is free of force
+            found = self._by_rows("point")
+            tried.append(("point", found))
+        if not found.accepted and known.force_band is not None and len(self.records) == 1:
+            found = self._outside_the_band()
+        return _after(found, [(name, each) for name, each in tried if each is not found])
 
-def _check_unused(
-    excitation: str, method: str, measured: bool, structure: object, shapes: str
-) -> None:
-    """Refuse options that the way chosen has no use for."""
-    way = (
-        "method='subspace'"
-        if method == "subspace"
-        else f"excitation={excitation!r}"
-        if excitation in ("point", "base", "ambient")
-        else "measured forces"
-        if measured
-        else ""
-    )
-    if way and structure is not None:
-        raise OptionError(f"structure= is not used with {way}; leave it out.")
-    if way and shapes != "auto" and excitation != "ambient":
-        raise OptionError(f"shapes={shapes!r} is not used with {way}; leave it out.")
+    def _by_oscillations(self) -> BlindFit:
+        return blind_likelihood(
+            self.records,
+            self.n_dof,
+            input_frequencies_hz=self.known.input_frequencies_hz,
+            hold=self.known.hold,
+            mass=self.mass,
+            structure=self.known.structure,
+            shapes=self.known.shapes,
+            progress=self.progress,
+        )
+
+    def _by_measured_forces(self) -> BlindFit:
+        self.known.check_heeded("measured forces")
+        _check_forces(self.records)
+        return blind_measured(
+            self.records,
+            self.n_dof,
+            input_frequencies_hz=self.known.input_frequencies_hz,
+            hold=self.known.hold,
+            mass=self.mass,
+            progress=self.progress,
+        )
+
+    def _by_rows(self, excitation: str) -> BlindFit:
+        self._report("rows")
+        return blind_rows(
+            self.records,
+            self.n_dof,
+            excitation=excitation,
+            force_band=self.known.force_band,
+            mass=self.mass,
+            ungrounded=self.known.ungrounded,
+        )
+
+    def _as_ambient(self) -> BlindFit:
+        return blind_ambient(
+            self._only("excitation='ambient'"),
+            self.n_dof,
+            mass=self.mass,
+            shapes=self.known.shapes,
+            progress=self.progress,
+        )
+
+    def _outside_the_band(self) -> BlindFit:
+        self._report("subspace")
+        return blind_finite_signal(
+            self.records[0], self.n_dof, force_band=self.known.force_band, mass=self.mass
+        )
+
+    def _only(self, what: str) -> Record:
+        if len(self.records) != 1:
+            raise OptionError(f"{what} takes one record; got {len(self.records)}.")
+        return self.records[0]
+
+    def _report(self, what: str) -> None:
+        if self.progress is not None:
+            self.progress(what, 0, 1)
 
 
 def _check_forces(records: Sequence[Record]) -> None:
@@ -193,49 +296,24 @@ def _check_forces(records: Sequence[Record]) -> None:
             )
 
 
-def _only(records: Sequence[Record], what: str) -> Record:
-    if len(records) != 1:
-        raise OptionError(f"{what} takes one record; got {len(records)}.")
-    return records[0]
-
-
-def _subspace(
-    records: Sequence[Record],
-    n_dof: int,
-    excitation: str,
-    input_frequencies_hz: Sequence[float] | None,
-    hold: str,
-    mass: ArrayLike | None,
-) -> BlindFit:
-    if excitation not in ("auto", "periodic", "decay"):
-        raise OptionError(
-            f"method='subspace' is for periodic forces and decays; leave method= out for "
-            f"excitation={excitation!r}."
-        )
-    record = _only(records, "method='subspace'")
-    return blind_subspace(
-        record, n_dof, input_frequencies_hz=input_frequencies_hz, hold=hold, mass=mass
+def _doubted(found: BlindFit) -> BlindFit:
+    """Return the answer of what was said to be a decay, with a doubt where forces were found."""
+    if found.verdict.kind != "periodic" or not found.accepted:
+        return found
+    hertz = ", ".join(f"{each:.4g}" for each in found.input_frequencies_hz)
+    doubt = Finding(
+        "not_a_decay",
+        "doubt",
+        f"The record was said to be a decay, but holds motion that does not decay: {hertz} Hz.",
     )
+    findings = (*found.verdict.findings, doubt)
+    return replace(found, verdict=replace(found.verdict, findings=findings))
 
 
-def _limited(
-    records: Sequence[Record],
-    n_dof: int,
-    force_band: tuple[float, float],
-    input_frequencies_hz: Sequence[float] | None,
-    mass: ArrayLike | None,
-) -> BlindFit:
-    """Return the answer of a force that is not periodic, by its band."""
-    if input_frequencies_hz is not None:
-        raise OptionError("Give force_band or input_frequencies_hz, not both.")
-    record = _only(records, "method='subspace'")
-    return blind_finite_signal(record, n_dof, force_band=force_band, mass=mass)
-
-
-def _after(found: BlindFit, tried: Mapping[str, BlindFit]) -> BlindFit:
+def _after(found: BlindFit, tried: Sequence[tuple[str, BlindFit]]) -> BlindFit:
     """Return the last attempt, with what became of the earlier ones."""
     refusals, findings = list(found.verdict.refusals), list(found.verdict.findings)
-    for name, each in tried.items():
+    for name, each in tried:
         why = "; ".join(map(str, each.verdict.refusals))
         findings.append(Finding(f"tried_{name}", "note", f"{TRIED[name]} tried first: {why}"))
         if not found.accepted:

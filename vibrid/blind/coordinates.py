@@ -20,6 +20,7 @@ from ..record import Floats
 from ..statespace import StateSpace
 
 Powers = NDArray[np.int64]
+DEPENDENT = 1e-9  # relative: inputs closer to each other cannot be told apart
 
 
 def displacement_shapes(poles: Complexes, columns: Complexes, powers: Powers) -> Complexes:
@@ -108,10 +109,17 @@ def input_matrix(force: Floats, inputs: Floats) -> Floats:
     """
     u, f = inputs - inputs.mean(axis=0), force - force.mean(axis=0)
     size = np.linalg.norm(u, axis=0)
-    solved, _, rank, _ = np.linalg.lstsq(u / np.where(size > 0, size, 1), f, rcond=1e-9)
+    check_independent(u)
+    solved = np.linalg.lstsq(u / size, f, rcond=None)[0]
+    return np.asarray((solved / size[:, None]).T)
+
+
+def check_independent(inputs: Floats) -> None:
+    """Refuse inputs (columns) of which one is zero or follows from the others."""
+    size = np.linalg.norm(inputs, axis=0)
+    rank = np.linalg.matrix_rank(inputs / np.where(size > 0, size, 1), rtol=DEPENDENT)
     if rank < inputs.shape[1]:
         raise OptionError(
             f"The {inputs.shape[1]} inputs are not independent (rank {rank}); ℬ cannot be told. "
             "Leave inputs out with select(inputs=[…])."
         )
-    return np.asarray((solved / size[:, None]).T)

@@ -12,17 +12,21 @@ import numpy as np
 import scipy.linalg as sla
 from numpy.typing import ArrayLike
 
-from ..errors import DataError, OptionError
+from ..errors import DataError, OptionError, check_whole
 from ..exosystem import harmonics, signal_basis
+from ..methods.preparation import check_order
 from ..modes import Complexes
 from ..record import Floats, Record
 from .result import BlindFit, BlindVerdict, Refusal, blind_fit, modes_from
 from .sensors import Sensors, sensors_of
-from .subspace import blind_subspace, in_physical_coordinates
-from .subspace_poles import Division, FreePoles, order_by_fall, oscillating, usual_horizon
+from .subspace import blind_subspace
+from .subspace.answer import in_physical_coordinates
+from .subspace.case import Case
+from .subspace.division import Division
+from .subspace.poles import FreePoles, largest_order, order_by_fall, oscillating, usual_horizon
 
 ROOM = 1.5  # period of the force's model over the record: what is not periodic needs room
-REDUNDANT = 1e-12  # singular values of its basis below this share
+REDUNDANT = 1e-12  # columns of its basis that add less than this share
 SPARE = 0.8  # of the largest horizon that leaves enough columns
 EDGE = 0.05  # of the band limits: a pole so close counts as inside
 REASON = (
@@ -83,7 +87,7 @@ def blind_finite_signal(
     if force_band is not None and force_free is not None:
         raise OptionError("Give force_band or force_free, not both.")
     if force_free is not None:
-        return _free(record, n_dof, force_free, mass, block_rows)
+        return _free(record, n_dof, force_free, mass, block_rows, order)
     if force_band is None:
         return _refused(sensors, REASON, {})
     low, high = force_band
@@ -101,17 +105,19 @@ def _free(
     window: tuple[float, float],
     mass: ArrayLike | None,
     block_rows: int | None,
+    order: int | None,
 ) -> BlindFit:
     """Return the answer of a free decay; the force elsewhere is not estimated."""
     part = record.between(*window).select(inputs=[])
-    found = blind_subspace(part, n_dof, mass=mass, block_rows=block_rows, order=2 * n_dof)
+    states = 2 * n_dof if order is None else order
+    found = blind_subspace(part, n_dof, mass=mass, block_rows=block_rows, order=states)
     determined = {**found.verdict.determined, "normalized_force": False}
     missing = (*found.verdict.missing, "the force outside the free stretch")
     verdict = replace(found.verdict, kind="force_free", determined=determined, missing=missing)
     return replace(
         found,
         normalized_force=np.full((record.n_samples, n_dof), np.nan),
-        force_phasors=np.zeros((n_dof, 0), dtype=np.complex128),
+        force_phasors=np.zeros((1, n_dof, 0), dtype=np.complex128),
         input_frequencies_hz=np.zeros(0),
         verdict=verdict,
     )
@@ -130,6 +136,7 @@ def _outside(
     lines = harmonics(1 / (ROOM * record.duration), band[1], band[0])
     lines = lines[lines >= band[0]]
     horizon = _horizon(len(y), n, len(lines)) if block_rows is None else block_rows
+    check_whole("block_rows", horizon, 2)
     found = projected_poles(y, record.dt, horizon, lines, 2 * n, order)
     hertz = found.poles.imag / (2 * np.pi)
     within = (hertz > band[0] * (1 - EDGE)) & (hertz < band[1] * (1 + EDGE))
@@ -140,18 +147,13 @@ def _outside(
             f"{band[1]:g} Hz. {REASON}"
         )
         return _refused(sensors, words, {"modes_outside": len(outside)}, outside)
-    again = [projected_poles(y, record.dt, max(2, 2 * horizon // 3), lines, 2, found.order)]
+    shorter = max(2, 2 * horizon // 3)
+    kept = min(found.order, largest_order(shorter, n))
+    again = projected_poles(y, record.dt, shorter, lines, 2, kept)
     none = np.zeros(0)
-    division = Division(outside[:n], outside[n:], lines, none)
+    division = Division(outside[:n], outside[n:], lines, none, none)
     made = in_physical_coordinates(
-        record,
-        sensors,
-        found,
-        division,
-        again,
-        hold="band_limited",
-        mass=mass,
-        kind="out_of_band",
+        Case(record, sensors, found, division, (again,), mass=mass, limited=True)
     )
     return made if made.accepted else _with_reason(made)
 
@@ -197,19 +199,20 @@ def projected_poles(
             f"{len(lines_hz)} lines of the force; use fewer block rows, a narrower band or a "
             "longer record."
         )
-    left, values, _ = sla.svd(basis, full_matrices=False)
-    Q = left[:, values > REDUNDANT * values[0]]
+    Q, R, _ = sla.qr(basis, mode="economic", pivoting=True, check_finite=False)
+    sizes = np.abs(np.diag(R))
+    Q = Q[:, sizes > REDUNDANT * sizes[0]]
     scaled = outputs / np.linalg.norm(outputs - outputs.mean(axis=0), axis=0)
     rows = np.vstack([scaled[k : k + columns].T for k in range(2 * block_rows)])
     for _ in range(2):  # once more, for what rounding left
         rows = rows - (rows @ Q) @ Q.T
     lower = np.asarray(sla.qr(rows.T, mode="r", check_finite=False)[0])[: len(rows)].T
-    half = block_rows * p
+    half, largest = block_rows * p, largest_order(block_rows, p)
     U, singular, _ = sla.svd(lower[half:, :half], full_matrices=False)
-    largest = half - p
     if order is None:
         order = order_by_fall(singular, smallest_order, largest)
-    gamma = U[:, : min(order, largest)]
+    check_order(order, largest, f"{block_rows} block rows")
+    gamma = U[:, :order]
     A = np.linalg.lstsq(gamma[:-p], gamma[p:], rcond=None)[0]
     return FreePoles(oscillating(A, dt), gamma.shape[1], singular, block_rows)
 

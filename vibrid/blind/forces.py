@@ -9,8 +9,10 @@ from numpy.typing import NDArray
 
 from ..modes import Complexes
 from ..record import Floats
+from .coordinates import periodic_force
 from .windowed import windowed_motions
 
+DIFFERENCE = 1e-5  # relative step of derivatives by [𝒦 𝒟]
 NOISY = 0.2  # share of the force's power that noise may have
 RISING = 10.0  # towards low frequency, of a power that is a window's leakage
 SMOOTHING = 9  # lines over which powers are averaged
@@ -19,24 +21,71 @@ SMOOTHING = 9  # lines over which powers are averaged
 def phasor_deviations(
     P: Floats,
     covariance: Floats,
-    phasors: Complexes,
+    columns: Complexes,
     rates: Floats,
     powers: NDArray[np.int64],
     noise: Floats,
     n_samples: int,
+    *,
+    dt: float,
+    hold: str,
 ) -> Floats:
-    """Return the deviations E|δf|² ^½ of the phasors of M⁻¹f (n, n_frequencies).
+    """Return the deviations E|δp|² ^½ of the phasors of M⁻¹f (n, n_frequencies).
 
     From the covariance of vec [𝒦 𝒟] and white noise of the given variances on the sensors,
-    whose phasors then have the variance 4 s² / N.
+    whose phasors then have the variance 4 s² / N. Derivatives by [𝒦 𝒟] are differences: exact
+    for the continuous force, which is linear in them.
+
+    Parameters
+    ----------
+    columns : complex array (n, n_frequencies)
+        The sensors' phasors.
     """
-    n = len(P)
-    blocks = covariance.reshape(2 * n, n, 2 * n, n)
-    q = phasors / (1j * rates) ** powers[:, None]
-    both = np.vstack([q, 1j * rates * q])
-    by_matrices = np.einsum("mf,miki,kf->if", both.conj(), blocks, both).real
-    gains = _gains(P, rates, powers)
-    return np.asarray(np.sqrt(by_matrices + 4 / n_samples * (np.abs(gains) ** 2 @ noise).T))
+    n, hertz = len(P), rates / (2 * np.pi)
+
+    def behind(P: Floats, columns: Complexes) -> Complexes:
+        return periodic_force(P[:, :n], P[:, n:], powers, hertz, columns, dt=dt, hold=hold)
+
+    size = np.linalg.norm(P[:, :n])
+    steps = DIFFERENCE * np.repeat([size, max(float(np.linalg.norm(P[:, n:])), size**0.5)], n * n)
+    changes = np.array([each.reshape(2 * n, n).T for each in np.diag(steps)])
+    slopes = [(behind(P + each, columns) - behind(P - each, columns)) for each in changes]
+    slope = np.array(slopes) / (2 * steps[:, None, None])
+    by_matrices = np.einsum("amf,ab,bmf->mf", slope.conj(), covariance, slope, optimize=True).real
+    units = np.broadcast_to(np.eye(n)[:, :, None], (n, n, len(rates))).astype(np.complex128)
+    by_noise = sum(s2 * np.abs(behind(P, u)) ** 2 for s2, u in zip(noise, units, strict=True))
+    return np.asarray(np.sqrt(np.maximum(by_matrices, 0) + 4 / n_samples * by_noise))
+
+
+def seen_band(
+    P: Floats,
+    powers: NDArray[np.int64],
+    noise: Floats,
+    n_samples: int,
+    hertz: Floats,
+    *,
+    size: float,
+    gain: float,
+) -> tuple[float, float]:
+    """Return the lowest and highest frequency at which a sine of M⁻¹f would be seen; NaN: none.
+
+    A sine p of RMS |p| moves the sensors by G p and gains N Σ_i |G p|_i² / s_i² of 2 log L, s²
+    the variance of white noise; p is distributed as is seen least.
+
+    Parameters
+    ----------
+    hertz : array
+        Frequencies to look at, ascending.
+    size : float
+        RMS of the sine at all DOFs together.
+    gain : float
+        Of 2 log L, by which an oscillation is told from noise.
+    """
+    # the least of G is one over the largest of its inverse
+    inverse = _gains(P, 2 * np.pi * hertz, powers) * np.sqrt(noise)
+    least = 1 / np.linalg.svd(inverse, compute_uv=False)[:, 0]
+    seen = hertz[n_samples * (size * least) ** 2 > gain]
+    return (float(seen[0]), float(seen[-1])) if len(seen) else (np.nan, np.nan)
 
 
 def _gains(P: Floats, rates: Floats, powers: NDArray[np.int64]) -> Complexes:
@@ -104,6 +153,9 @@ def inverse_force(
     rates, (slow, middle, fast) = spectra.rates, spectra.motions
     turn = (1j * rates[:, None]) ** powers.max()
     found = (fast + middle @ P[:, n:].T + slow @ P[:, :n].T) / turn
+    constant = spectra.window[:, None] / turn  # what the mean, taken out of the motion, leaves
+    share = (constant.conj() * found).real.sum(axis=0) / (np.abs(constant) ** 2).sum()
+    found = found - constant * share
     s = 1j * rates[:, None, None]
     gains = s**2 * np.eye(n) + s * P[:, n:] + P[:, :n]
     levels = rates[:, None] ** (2.0 * raised) * noise
@@ -139,6 +191,7 @@ def _first_line(power: Floats, disturbed: Floats, weight: Floats) -> int:
     strongest = int(np.argmax(np.where(clear, smooth * weight, 0)))
     hidden = np.flatnonzero(~clear[: strongest + 1])
     first = int(hidden[-1]) + 1 if len(hidden) else 0
-    lowest = first + int(np.argmin(smooth[first : strongest + 1]))
-    leaks = smooth[first : lowest + 1].max() > RISING * smooth[lowest]
-    return lowest if leaks else first
+    # a leak falls line by line; dips of a random force further on are its own
+    falling = np.diff(smooth[first : strongest + 1]) < 0
+    lowest = first + (int(np.argmin(falling)) if not falling.all() else len(falling))
+    return lowest if smooth[first] > RISING * smooth[lowest] else first

@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-import scipy.linalg as sla
 from numpy.typing import ArrayLike
 
 from ..errors import DataError, OptionError, check_choice, check_positive
 from ..exosystem import augmented_observability, finite_signal
 from ..fit import Fit
+from ..gram.factor import stacked_qr
 from ..kalman import STABLE_TO, spectral_radius
 from ..record import Floats, Record
 from ..statespace import StateSpace
@@ -20,7 +21,8 @@ KINDS = ("smoother", "filter")
 ROOM = 1.5  # period of the signal model over the record: what is not periodic needs room
 RANK = 1e-10  # singular values below this share say nothing
 REWEIGHTINGS = 3
-LARGEST = 2 * 10**8  # numbers in the regression
+LARGEST = 10**8  # numbers in the regression, 800 MB
+RUN = 4096  # samples that are whitened at a time
 VAGUE = 100.0  # prior deviation of amplitudes over what the outputs would make them
 
 
@@ -72,7 +74,8 @@ def estimate_input(
         A Fit brings its gain, noise covariance and offsets.
     outputs : Record or array (n_samples, n_outputs)
     highest_hz, lowest_hz : float
-        Band of the input; a constant belongs to it where `lowest_hz` is 0.
+        Band of the input; a constant belongs to it where `lowest_hz` is 0. Where there is next
+        to no noise, a line or two (1 / period) more keep the band's edge exact.
     kind : "smoother" or "filter"
         All samples for each estimate, or only those up to it (Kalman filter).
     kalman_gain : array (n, n_outputs), optional
@@ -106,12 +109,7 @@ def estimate_input(
     check_choice("kind", kind, KINDS)
     system, gain, known, offsets = _of_model(model, kalman_gain, noise_covariance)
     y = _samples(outputs, system) - offsets[1]
-    dt = float(system.dt or np.nan)
-    whole = ROOM * len(y) * dt if period is None else period
-    signal = finite_signal(len(y), dt, highest_hz, lowest_hz=lowest_hz, period=whole)
-    signals = finite_signal(
-        len(y), dt, highest_hz, lowest_hz=lowest_hz, period=whole, n_signals=system.n_inputs
-    )
+    signal, signals = _signal_models(system, y, (lowest_hz, highest_hz), period)
     _check_seen(system, signals)
     problem = _regression(system, gain, signals, y)
     noise, solved = _solve(problem, known)
@@ -128,7 +126,7 @@ def estimate_input(
         (problem.right - problem.left @ solved.state).reshape(y.shape),
         noise,
         np.sort(signal.frequencies_hz),
-        dt,
+        float(system.dt or np.nan),
         kind,
     )
 
@@ -150,8 +148,8 @@ def _of_model(
         raise OptionError("The model has no inputs that could be estimated.")
     p, shape = system.n_outputs, (system.order, system.n_outputs)
     G = np.zeros(shape) if gain is None else np.asarray(gain, dtype=np.float64)
-    if G.shape != shape:
-        raise OptionError(f"kalman_gain must have the shape {shape}; got {G.shape}.")
+    if G.shape != shape or not np.isfinite(G).all():
+        raise OptionError(f"kalman_gain must have the shape {shape} and be finite; got {G.shape}.")
     radius = spectral_radius(system.A - G @ system.C)
     if radius > STABLE_TO:
         raise DataError(
@@ -161,7 +159,11 @@ def _of_model(
     if noise is None:
         return system, G, None, offsets
     covariance = np.atleast_2d(np.asarray(noise, dtype=np.float64))
-    if covariance.shape != (p, p) or np.linalg.eigvalsh(covariance)[0] <= 0:
+    if (
+        covariance.shape != (p, p)
+        or not np.isfinite(covariance).all()
+        or np.linalg.eigvalsh(covariance)[0] <= 0
+    ):
         raise OptionError(f"noise_covariance must be {p} × {p} and positive definite.")
     return system, G, covariance, offsets
 
@@ -182,6 +184,38 @@ def _samples(outputs: Record | ArrayLike, system: StateSpace) -> Floats:
     if not np.isfinite(y).all():
         raise DataError("The outputs hold NaN or infinite values; take a piece without gaps.")
     return y
+
+
+def _signal_models(
+    system: StateSpace, outputs: Floats, band_hz: tuple[float, float], period: float | None
+) -> tuple[StateSpace, StateSpace]:
+    """Return the models of one input and of all, if the outputs can tell so many amplitudes."""
+    low, high = band_hz
+    n_samples, dt = len(outputs), float(system.dt or np.nan)
+    whole = ROOM * n_samples * dt if period is None else period
+    check_positive("period", whole, "s")
+    check_positive("highest_hz", high, "Hz")
+    lines = max(0, np.floor(whole * (min(high, 0.5 / dt) - low)))
+    _check_size(outputs.size, system.order + 2 * system.n_inputs * int(lines))
+    one, every = (
+        finite_signal(n_samples, dt, high, lowest_hz=low, period=whole, n_signals=count)
+        for count in (1, system.n_inputs)
+    )
+    return one, every
+
+
+def _check_size(count: int, unknowns: int) -> None:
+    """Refuse more unknowns than values, or than memory holds."""
+    if count < unknowns:
+        raise DataError(
+            f"{count} values cannot tell {unknowns} unknowns; narrow the band, or shorten "
+            "the period."
+        )
+    if count * unknowns > LARGEST:
+        raise OptionError(
+            f"{count} values on {unknowns} unknowns are too many at once; take a shorter "
+            "stretch or a narrower band."
+        )
 
 
 def _check_seen(system: StateSpace, signal: StateSpace) -> None:
@@ -208,16 +242,7 @@ def _regression(
     system: StateSpace, gain: Floats, signal: StateSpace, outputs: Floats
 ) -> _Regression:
     """Run the predictor over the outputs, and over every unit initial state."""
-    n, m, count = system.order, signal.order, outputs.size
-    if count * (n + m) > LARGEST:
-        raise OptionError(
-            f"{count} values on {n + m} unknowns are too many at once; take a shorter stretch or "
-            "a narrower band."
-        )
-    if count < n + m:
-        raise DataError(
-            f"{count} values cannot tell {n + m} unknowns; narrow the band, or shorten the period."
-        )
+    n, m = system.order, signal.order
     own = system.A - gain @ system.C
     A = np.zeros((n + m, n + m))
     A[:n, :n], A[:n, n:] = own, (system.B - gain @ system.D) @ signal.C
@@ -248,22 +273,35 @@ def _solve(problem: _Regression, noise: Floats | None) -> tuple[Floats, _Solved]
         solved = _weighted(problem, noise)
         left = (problem.right - problem.left @ solved.state).reshape(-1, p)
         free = max(1, len(left) - solved.root.shape[1] // p)
-        floor = (1e-15 * np.abs(problem.right).max()) ** 2 * np.eye(p)
-        noise = left.T @ left / free + floor
+        floor = max((1e-15 * np.abs(problem.right).max()) ** 2, 1e-300)
+        noise = left.T @ left / free + floor * np.eye(p)
     return noise, _weighted(problem, noise)
 
 
 def _weighted(problem: _Regression, noise: Floats) -> _Solved:
-    """Solve by QR of the whitened rows and the singular values of its triangle."""
-    p, n = problem.n_outputs, problem.left.shape[1]
-    inverse = np.linalg.inv(np.linalg.cholesky(noise))
-    rows = np.hstack([problem.left, problem.right[:, None]]).reshape(-1, p, n + 1)
-    rows = np.einsum("ij,kjn->kin", inverse, rows).reshape(-1, n + 1)
-    triangle = np.asarray(sla.qr(rows, mode="r", check_finite=False)[0])[: n + 1]
+    """Solve by QR of the whitened rows and the singular values of its triangle.
+
+    Columns of unit length: states and inputs of any unit weigh alike.
+    """
+    n = problem.left.shape[1]
+    size = np.linalg.norm(problem.left, axis=0)
+    size[size == 0] = 1
+    triangle = stacked_qr(_whitened(problem, noise, size), n + 1)
     left, values, right = np.linalg.svd(triangle[:n, :n])
     rank = int(np.count_nonzero(values > RANK * values[0]))
-    root = right[:rank].T / values[:rank]
+    root = right[:rank].T / values[:rank] / size[:, None]
     return _Solved(root @ (left[:, :rank].T @ triangle[:n, n]), root)
+
+
+def _whitened(problem: _Regression, noise: Floats, size: Floats) -> Iterator[Floats]:
+    """Yield [left / size, right] in rows of unit noise, run by run."""
+    p, n = problem.n_outputs, problem.left.shape[1]
+    inverse = np.linalg.inv(np.linalg.cholesky(noise))
+    run = p * max(RUN, n)
+    for start in range(0, len(problem.right), run):
+        part = slice(start, start + run)
+        rows = np.hstack([problem.left[part] / size, problem.right[part, None]])
+        yield np.matmul(inverse, rows.reshape(-1, p, n + 1)).reshape(-1, n + 1)
 
 
 def _smoothed(basis: Floats, solved: _Solved, n: int, n_inputs: int) -> tuple[Floats, Floats]:

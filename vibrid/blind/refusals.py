@@ -144,29 +144,30 @@ def relative_deviations(P: Floats, covariance: Floats) -> dict[str, float]:
 def of_matrices(P: Floats, condition: float) -> Judged:
     """R7: eigenvalues of 𝒦 have positive real parts, and its equations are well conditioned."""
     smallest = float(np.linalg.eigvals(P[:, : len(P)]).real.min())
-    checks = {"smallest_eigenvalue": smallest, "condition": condition}
-    refused = []
+    checks, refused = of_condition(condition)
+    checks["smallest_eigenvalue"] = smallest
     if smallest <= 0:
-        refused.append(
-            Refusal(
-                "R7",
-                f"M⁻¹K has an eigenvalue with the real part {smallest:.3g}; a structure has "
-                "positive ones.",
-                "Check signs and DOFs of the channels.",
-                {"smallest_eigenvalue": smallest, "limit": 0.0},
-            )
+        sentence = (
+            f"M⁻¹K has an eigenvalue with the real part {smallest:.3g}; a structure has positive "
+            "ones."
         )
-    if condition > CONDITION:
-        refused.append(
-            Refusal(
-                "R7",
-                f"The equations of M⁻¹K have the condition {condition:.2g} (limit "
-                f"{CONDITION:.0e}): shapes or poles coincide.",
-                "Put the sensors where the shapes differ.",
-                {"condition": condition, "limit": CONDITION},
-            )
-        )
+        cure = "Check signs and DOFs of the channels."
+        figures = {"smallest_eigenvalue": smallest, "limit": 0.0}
+        refused.append(Refusal("R7", sentence, cure, figures))
     return checks, refused
+
+
+def of_condition(condition: float) -> Judged:
+    """R7: the equations of 𝒦, those of poles and shapes, are well conditioned."""
+    checks = {"condition": condition}
+    if condition <= CONDITION:
+        return checks, []
+    sentence = (
+        f"The equations of M⁻¹K have the condition {condition:.2g} (limit {CONDITION:.0e}): "
+        "shapes or poles coincide."
+    )
+    cure = "Put the sensors where the shapes differ."
+    return checks, [Refusal("R7", sentence, cure, {"condition": condition, "limit": CONDITION})]
 
 
 def together(*judged: Judged) -> tuple[Mapping[str, float], tuple[Refusal, ...]]:

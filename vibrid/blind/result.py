@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -74,6 +74,8 @@ class BlindVerdict:
         The figures of all rules, kept or broken.
     refusals : tuple of Refusal
     findings : tuple of Finding
+    assumed : tuple of str
+        What the answer rests on and these data could not have refuted.
     """
 
     kind: str
@@ -82,6 +84,7 @@ class BlindVerdict:
     checks: Mapping[str, float] = field(default_factory=dict)
     refusals: tuple[Refusal, ...] = ()
     findings: tuple[Finding, ...] = ()
+    assumed: tuple[str, ...] = ()
 
     @property
     def accepted(self) -> bool:
@@ -97,7 +100,8 @@ class BlindVerdict:
         if self.refusals:
             return "refused, " + "; ".join(str(each) for each in self.refusals)
         known = [name for name, is_known in self.determined.items() if is_known]
-        return f"{self.kind}: determined are {', '.join(known) or 'none'}"
+        resting = f"; assumed: {'; '.join(self.assumed)}" if self.assumed else ""
+        return f"{self.kind}: determined are {', '.join(known) or 'none'}{resting}"
 
 
 @dataclass(frozen=True, eq=False)
@@ -117,11 +121,11 @@ class BlindFit:
     modes : Modes
         Of the structure; shapes are displacements at the DOFs.
     normalized_force : array (n_samples, n_dof)
-        M⁻¹f [m/s²] at the samples; NaN where not determined.
+        M⁻¹f [m/s²] at the samples; NaN where not determined. Several records follow each other.
     normalized_force_std : array (n_dof,)
         Root mean square of its expected error [m/s²]; NaN where not estimated.
-    force_phasors : complex array (n_dof, n_frequencies)
-        Of periodic forces, M⁻¹f(t) = Σ Re(p_k e^{2πi f_k t}), t = 0 at the first sample.
+    force_phasors : complex array (n_records, n_dof, n_frequencies)
+        Of periodic forces, M⁻¹f(t) = Σ Re(p_k e^{2πi f_k t}), t = 0 at each record's start.
     normalized_input : array (n_dof, n_inputs)
         ℬ = M⁻¹B where the inputs were measured; (n_dof, 0) elsewhere.
     input_frequencies_hz : array (n_frequencies,)
@@ -236,7 +240,7 @@ def blind_fit(
 
     A covariance of vec [𝒦 𝒟] gives the standard deviations that are not given themselves.
     A refused verdict turns matrices and forces into NaN and keeps the matrices as candidates
-    among the figures.
+    among the figures. Phasors (n_dof, n_frequencies) are those of one record.
 
     Raises
     ------
@@ -249,10 +253,12 @@ def blind_fit(
         known = known.joined(
             {"candidate_stiffness": normalized_stiffness, "candidate_damping": normalized_damping}
         )
+        verdict = replace(verdict, determined=dict.fromkeys(verdict.determined, False))
         normalized_stiffness = normalized_damping = stiffness_std = damping_std = _nothing(n, n)
         force = phasors = covariance = normalized_input = mass = None
     frequencies = np.asarray(input_frequencies_hz, dtype=np.float64)
-    unknown = np.full((n, len(frequencies)), complex(np.nan, np.nan))
+    if phasors is None:
+        phasors = np.full((n, len(frequencies)), complex(np.nan, np.nan))
     return BlindFit(
         normalized_stiffness,
         normalized_damping,
@@ -261,7 +267,7 @@ def blind_fit(
         modes,
         _nothing(setting.n_samples, n) if force is None else force,
         _nothing(n) if force_std is None or force is None else force_std,
-        unknown if phasors is None else phasors,
+        phasors if phasors.ndim == 3 else phasors[None],
         np.zeros((n, 0)) if normalized_input is None else normalized_input,
         frequencies,
         setting.dofs if forced_dofs is None else tuple(forced_dofs),

@@ -12,7 +12,7 @@ from ..errors import DataError, OptionError, check_whole
 from ..fit import Finding
 from ..mechanics import MOTIONS
 from ..physical.units import si_factors
-from ..record import Channel, Floats, Record
+from ..record import Channel, Floats, Quantity, Record
 from .result import Setting
 
 TAKEN = "other"  # the quantity of a channel that nobody has labelled
@@ -69,26 +69,59 @@ def sensors_of(record: Record, n_dof: int) -> Sensors:
             f"has {len(channels)} outputs ({', '.join(record.output_names)}). Give n_dof="
             f"{len(channels)}, or choose the outputs with select(outputs=[…])."
         )
-    known = tuple(
-        replace(c, quantity="acceleration") if c.quantity == TAKEN else c for c in channels
-    )
+    known = _taken_as(channels, "acceleration")
     _check_motions(known)
     labels = tuple(channel.dof or channel.name for channel in known)
     if len(set(labels)) != n_dof:
         raise OptionError(
             f"Each degree of freedom needs a sensor of its own; the DOFs are {', '.join(labels)}."
         )
+    _check_gaps(record)
+    factors, units = si_factors(known)
+    signs = np.array([channel.sign for channel in known])
+    setting = Setting(known, labels, record.dt, record.n_samples, units)
+    powers = np.array([MOTIONS.index(channel.quantity) for channel in known], dtype=np.int64)
+    return Sensors(setting, powers, factors * signs, _assumed(channels))
+
+
+def forces_of(record: Record) -> Floats:
+    """Return the inputs (n_samples, n_inputs) in SI and in the direction of their DOFs.
+
+    Inputs of quantity "other" are taken as forces.
+
+    Raises
+    ------
+    OptionError
+        Inputs that are no forces; units that do not go with those of the outputs.
+    DataError
+        Missing samples.
+    """
+    _check_gaps(record)
+    channels = _taken_as(record.input_channels, "force")
+    for channel in channels:
+        if channel.quantity != "force":
+            raise OptionError(
+                f"Input {channel.name!r} is a {channel.quantity}, no force. Leave it out with "
+                "select(inputs=[…])."
+            )
+    sensors = _taken_as(record.output_channels, "acceleration")
+    factors = si_factors((*channels, *sensors))[0][: len(channels)]
+    signs = np.array([channel.sign for channel in channels])
+    return np.asarray(np.asarray(record.inputs[:], dtype=np.float64) * factors * signs)
+
+
+def _check_gaps(record: Record) -> None:
     if record.segments() != ((0, record.n_samples),):
         raise DataError(
             "The record has missing samples; take a piece without gaps with slice(start, stop): "
             + ", ".join(f"{start} to {stop}" for start, stop in record.segments()[:5])
             + "."
         )
-    factors, units = si_factors(known)
-    signs = np.array([channel.sign for channel in known])
-    setting = Setting(known, labels, record.dt, record.n_samples, units)
-    powers = np.array([MOTIONS.index(channel.quantity) for channel in known], dtype=np.int64)
-    return Sensors(setting, powers, factors * signs, _assumed(channels))
+
+
+def _taken_as(channels: Sequence[Channel], quantity: Quantity) -> tuple[Channel, ...]:
+    """Return the channels, those that nobody has labelled as of a quantity."""
+    return tuple(replace(c, quantity=quantity) if c.quantity == TAKEN else c for c in channels)
 
 
 def _check_motions(channels: Sequence[Channel]) -> None:

@@ -21,7 +21,10 @@ from ..record import Floats
 from .windowed import Spectra
 
 REWEIGHTED = 5
-FREE = 3.0  # times √(2 / freedom) above 1, up to which χ² per degree of freedom is noise
+FREE = 3.0  # standard deviations above 1, up to which χ² per degree of freedom is noise
+MEDIAN = (
+    1 / np.log(2) ** 2
+)  # variance of the noise's power, relative, times the lines it is read in
 FORCED = 1.5  # χ² per degree of freedom above which a row is forced
 TOO_QUIET = 0.5  # χ² per degree of freedom below which the noise is not what it seems
 SINGLE = 1.5  # times the noise: what the next best relation of the same channels must leave
@@ -45,7 +48,8 @@ class Rows:
     seconds : array (n,)
         What the next best relation of the same channels leaves, in units of the noise: near 1
         there are several, and the row is any mixture of them.
-    freedom : int
+    spread : float
+        Standard deviation of the misfit of a free row: of χ² and of the noise it is measured by.
     noise_share : float
         Noise power over signal power of the clearest channel.
     """
@@ -54,13 +58,13 @@ class Rows:
     covariances: Floats
     misfits: Floats
     seconds: Floats
-    freedom: int
+    spread: float
     noise_share: float
 
     @property
     def limit(self) -> float:
         """The misfit up to which a row is taken as free."""
-        return 1 + FREE * float(np.sqrt(2 / self.freedom))
+        return 1 + FREE * self.spread
 
     def free(self, stated: bool = False) -> NDArray[np.bool_]:
         """Return which rows are free of force.
@@ -103,6 +107,13 @@ def regress_rows(spectra: Spectra) -> Rows:
     ------
     DataError
         Fewer lines in the band than a row has unknowns.
+
+    Notes
+    -----
+    Near the Cramér-Rao bound of a row: of five masses under two random forces, 20 s, the RMS error
+    of 𝒦 is 5.2e-4 at 40 dB (40 records; 5.3e-3 at 20 dB), the bound 4.97e-4, and single records
+    reach twice the RMS. All free rows together, whose errors hang together by their sensors, have a
+    bound 4 % lower.
     """
     n = spectra.motions.shape[2]
     freedom = 2 * len(spectra.rates) - 2 * n - spectra.offsets.shape[1]
@@ -118,7 +129,7 @@ def regress_rows(spectra: Spectra) -> Rows:
         np.array([covariance for _, covariance, _ in solved]),
         np.array([squares / freedom for _, _, squares in solved]),
         np.array([row.second(each[0]) for row, each in zip(rows, solved, strict=True)]),
-        freedom,
+        float(np.sqrt(2 / freedom + MEDIAN / spectra.quiet_lines)),
         float((spectra.noise / spectra.signal).min()),
     )
 

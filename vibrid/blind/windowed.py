@@ -17,7 +17,8 @@ from ..errors import DataError, OptionError
 from ..modes import Complexes
 from ..record import Floats
 
-RAMP = 0.1  # of the record, at each end
+RAMP = 0.05  # of the record, at each end: of .1, .05 and .03 the shortest whose floor, 1e-8 of M⁻¹K
+# in 10 s, no sensor reaches; what ramps cover is lost, 3 % of the deviation between .1 and .05
 STEP = Polynomial([0, 0, 0, 0, 0, 126, -420, 540, -315, 70])  # from 0 to 1, four times smooth
 FEWEST_CYCLES = 3  # in the record, of the lowest line used
 BLOCKS = 64  # of lines, over which powers are averaged to find the band
@@ -42,6 +43,11 @@ def ramp_window(n_samples: int, share: float, derivative: int = 0) -> Floats:
     return np.asarray(scale * (rise + (-1) ** derivative * fall))
 
 
+def window_energy(n_samples: int) -> float:
+    """Return Σ w², the power of a line of windowed white noise of variance 1."""
+    return float(np.sum(ramp_window(n_samples, RAMP) ** 2))
+
+
 @dataclass(frozen=True, eq=False)
 class Spectra:
     """Windowed spectra of the motion and its derivatives, of all records, line by line.
@@ -51,17 +57,20 @@ class Spectra:
     rates : array (n_lines,)
         ω [rad/s] of the lines in the band.
     motions : complex array (3, n_lines, n_dof)
-        Of the acceleration-like signal and its first and second derivative.
+        Of the acceleration-like signal and its first and second derivative, in units in which
+        the lines of white noise have its variance.
     offsets : complex array (n_lines, n_records)
         F(w) at the lines of each record: what a constant in the motion, which the mean of the
         sensors hides, does to a row.
     noise : array (n_dof,)
-        E|F(w e)|² of the noise of each channel.
+        Variance of the noise of each channel.
     powers : int array (n_dof,)
         How many derivatives each channel was raised by to become alike.
     band_hz : (low, high)
     signal : array (n_dof,)
-        Largest |F(w y)|² of each channel in the band.
+        Largest |F(w y)|² of each channel in the band, in the same units.
+    quiet_lines : int
+        How many lines told the noise.
     """
 
     rates: Floats
@@ -71,6 +80,7 @@ class Spectra:
     powers: NDArray[np.int64]
     band_hz: tuple[float, float]
     signal: Floats
+    quiet_lines: int
 
     @property
     def unit(self) -> float:
@@ -94,44 +104,54 @@ def spectra_of(
     powers : int array (n_dof,)
         0, 1, 2 for sensors of displacement, velocity, acceleration.
     band_hz : (low, high), optional
-        Of the force; by default up to where all channels fall to a level floor.
+        Of the lines to use; by default up to where all channels fall to a level floor.
 
     Raises
     ------
     OptionError
         A band that the record does not hold.
     DataError
-        No lines above the band that would tell the noise.
+        No level floor above the band that would tell the noise.
     """
-    duration = min(len(y) for y in samples) * dt
-    low, high = _band(samples, dt, band_hz, duration)
+    low, high = _band(samples, dt, band_hz)
+    # a force below a band given by hand may move the structure above it: that is no noise
+    quiet = max(_quiet_above(y, dt, 0.0 if band_hz is None else high) for y in samples)
+    high = quiet if band_hz is None else high
     raised = powers.max() - powers
+    sizes = [np.sqrt(window_energy(len(y))) for y in samples]  # alike in noise, whatever the length
     parts = [windowed_motions(y - y.mean(axis=0), dt, raised, low, high) for y in samples]
+    powered = [part.power / size**2 for part, size in zip(parts, sizes, strict=True)]
     # of exponentially distributed powers; what leaks over the band's edge does not move it
-    above = np.concatenate([part.power[part.hertz > high] for part in parts])
-    noise = np.median(above, axis=0) / np.log(2)
-    signal = np.max([part.power[part.inside].max(axis=0) for part in parts], axis=0)
+    above = [each[part.hertz > max(high, quiet)] for part, each in zip(parts, powered, strict=True)]
+    quiet_powers = np.concatenate(above)
+    noise = np.median(quiet_powers, axis=0) / np.log(2)
+    signal = np.max(
+        [each[part.inside].max(axis=0) for part, each in zip(parts, powered, strict=True)], axis=0
+    )
     return Spectra(
         np.concatenate([part.rates for part in parts]),
-        np.concatenate([part.motions for part in parts], axis=1),
+        np.concatenate(
+            [part.motions / size for part, size in zip(parts, sizes, strict=True)], axis=1
+        ),
         np.asarray(sla.block_diag(*[part.window[:, None] for part in parts])),
         np.maximum(noise, ROUNDING**2 * signal),
         raised,
         (low, high),
         signal,
+        len(quiet_powers),
     )
 
 
 def _band(
-    samples: tuple[Floats, ...], dt: float, given: tuple[float, float] | None, duration: float
+    samples: tuple[Floats, ...], dt: float, given: tuple[float, float] | None
 ) -> tuple[float, float]:
-    nyquist, lowest = 0.5 / dt, FEWEST_CYCLES / duration
+    """Return the band to use; its upper end is Nyquist where none is given."""
+    nyquist, lowest = 0.5 / dt, FEWEST_CYCLES / (min(len(y) for y in samples) * dt)
     if given is None:
-        high = max(_quiet_above(y, dt) for y in samples)
-        return lowest, high
-    low, high = given
-    if not 0 <= low < high:
+        return lowest, nyquist
+    if len(given) != 2 or not 0 <= given[0] < given[1]:
         raise OptionError(f"force_band must be (low, high) in hertz; got {given}.")
+    low, high = given
     if high > (1 - QUIET_SHARE) * nyquist:
         raise OptionError(
             f"force_band ends at {high:g} Hz and the record at {nyquist:g} Hz; the noise is read "
@@ -140,21 +160,24 @@ def _band(
     return max(low, lowest), high
 
 
-def _quiet_above(y: Floats, dt: float) -> float:
-    """Return the frequency above which all channels are at their floor."""
+def _quiet_above(y: Floats, dt: float, start: float) -> float:
+    """Return the frequency above which all channels are at their floor, read above `start`."""
     windowed = (y - y.mean(axis=0)) * ramp_window(len(y), RAMP)[:, None]
     power = np.abs(np.fft.rfft(windowed, axis=0)) ** 2
+    hertz = np.fft.rfftfreq(len(y), dt)
     edges = np.linspace(0, len(power), min(BLOCKS, len(power) // 8) + 1).astype(int)
     blocks = np.add.reduceat(power, edges[:-1], axis=0) / np.diff(edges)[:, None]
-    floor = np.median(blocks[3 * len(blocks) // 4 :], axis=0)
+    count = len(blocks)
+    last_quarter = max(3 * count // 4, int(np.searchsorted(hertz[edges[:-1]], start)))
+    floor = np.median(blocks[min(last_quarter, count - 1) :], axis=0)
     loud = np.flatnonzero((blocks > QUIET * floor).any(axis=1))
     last = int(loud[-1]) + 1 if len(loud) else 1
-    if len(blocks) - last < QUIET_SHARE * len(blocks):
+    if count - last < QUIET_SHARE * count:
         raise DataError(
             "The sensors show no level floor below the Nyquist frequency, so their noise cannot "
-            "be told from the motion: give force_band=(low, high) in hertz, or sample faster."
+            "be told from the motion; sample faster, so that there is a quiet band above it."
         )
-    return float(np.fft.rfftfreq(len(y), dt)[edges[last] - 1])
+    return float(hertz[edges[last] - 1])
 
 
 @dataclass(frozen=True, eq=False)

@@ -98,7 +98,11 @@ class Blind:
         str, help_of("How the force moves between samples: band_limited, zoh or foh.")
     ] = "band_limited"
     mass: Annotated[
-        Names, help_of("Known masses [kg]: the total, or one a DOF as a,b,c. Default: none.")
+        Names,
+        help_of(
+            "Known masses [kg]: the total, one a DOF as a,b,c, or a whole matrix row by row. "
+            "Default: none."
+        ),
     ] = ()
     structure: Annotated[
         str | None, help_of("Nearest matrices that are symmetric, diagonal (M) or a chain.")
@@ -120,7 +124,6 @@ class Blind:
 
     def of(self, record: Record, n_dof: int, progress: Progress | None) -> BlindFit:
         """Return the blind identification of a record."""
-        masses = numbers("mass", self.mass)
         return identify_blind(
             record,
             n_dof,
@@ -128,7 +131,7 @@ class Blind:
             method=self.blind_method,
             input_frequencies_hz=numbers("input-frequencies", self.input_frequencies) or None,
             hold=self.hold,
-            mass=(masses[0] if len(masses) == 1 else masses) if masses else None,
+            mass=_mass(numbers("mass", self.mass), n_dof),
             structure=self.structure,
             shapes=self.shapes,
             force_band=_pair("force-band", self.force_band),
@@ -136,6 +139,15 @@ class Blind:
             ungrounded=split_names(self.ungrounded) or (),
             progress=progress,
         )
+
+
+def _mass(values: list[float], n_dof: int) -> float | list[float] | list[list[float]] | None:
+    """Return a total, masses or, of n_dof² numbers, a matrix; None where nothing was given."""
+    if len(values) < 2:
+        return values[0] if values else None
+    if len(values) != n_dof**2:
+        return values
+    return [values[k : k + n_dof] for k in range(0, len(values), n_dof)]
 
 
 def _pair(option: str, texts: Names) -> tuple[float, float] | None:

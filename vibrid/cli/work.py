@@ -30,6 +30,9 @@ STEPS = {
     "eliminate": "Removing modes one by one",
     "refine": "Refining",
     "oscillations": "Finding modes and forces",
+    "rows": "Looking for degrees of freedom without force",
+    "subspace": "Separating modes and forces",
+    "pieces": "Leaving out pieces",
     "score": "Scoring the model",
 }
 

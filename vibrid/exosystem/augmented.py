@@ -56,7 +56,8 @@ class Observability:
         Different frequencies of the signal model, ascending; 0 for a constant.
     gains : array (n_lines,)
         Smallest amplification of the signal model's directions at each frequency by
-        G C_u, relative to ‖G‖ without cancellation · ‖C_u‖; inf at a pole of the structure.
+        G C_u, relative to ‖C_u‖ (‖C‖ ‖(sI − A)⁻¹ B‖ + ‖D‖), states balanced; inf at a pole of
+        the structure.
     structure : float
         Smallest singular value of [A − λI; C] over the structure's poles, balanced and
         relative: 0 where a mode is not seen.
@@ -82,9 +83,9 @@ def augmented_observability(system: StateSpace, signal: StateSpace) -> Observabi
 
     Besides the structure itself, the condition is that at every pole s = jω_k of the signal
     model no direction of its states is lost: G(jω_k) C_u v ≠ 0 for all v in the eigenspace.
-    For accelerometers G(0) = 0, so that a constant force is never seen; more inputs than
-    outputs with states of their own never are either; a shared state may be seen with any
-    number of inputs.
+    For accelerations and velocities G(0) = 0, so that a constant force is never seen; more
+    inputs than outputs with states of their own never are either; a shared state may be seen
+    with any number of inputs.
 
     Raises
     ------
@@ -147,16 +148,20 @@ def _eigenspaces(signal: StateSpace) -> tuple[Complexes, list[Complexes]]:
 
 
 def _gain(system: StateSpace, point: complex, directions: Complexes) -> float:
-    """Return the smallest amplification of C_u V by G, relative to G's own terms."""
+    """Return the smallest amplification of C_u V by G, relative to G's own terms.
+
+    Those of a balanced model: where G is zero, so is the sum of the terms, not their size.
+    """
     if np.abs(system.poles - point).min() <= 1e-12 * max(1.0, abs(point)):
         return np.inf
-    n = system.order
-    inner = system.C @ np.linalg.solve(point * np.eye(n) - system.A, system.B.astype(complex))
-    size = np.linalg.norm(inner, 2) + np.linalg.norm(system.D, 2)
+    balanced, (scale, _) = scipy.linalg.matrix_balance(system.A, permute=False, separate=True)
+    B, C = system.B / scale[:, None], system.C * scale
+    states = np.linalg.solve(point * np.eye(system.order) - balanced, B.astype(complex))
+    size = np.linalg.norm(C, 2) * np.linalg.norm(states, 2) + np.linalg.norm(system.D, 2)
     size *= np.linalg.norm(directions, 2)
     if size == 0 or directions.shape[1] > system.n_outputs:
         return 0.0
-    moved = (inner + system.D) @ directions
+    moved = (C @ states + system.D) @ directions
     return float(np.linalg.svd(moved, compute_uv=False)[-1] / size)
 
 

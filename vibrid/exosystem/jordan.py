@@ -8,7 +8,7 @@ import numpy as np
 import scipy.linalg
 from numpy.typing import ArrayLike
 
-from ..errors import DataError
+from ..errors import DataError, OptionError
 from ..modes import Complexes
 from ..record import Floats
 
@@ -48,6 +48,8 @@ def real_jordan_form(A: ArrayLike) -> RealJordan:
 
     Raises
     ------
+    OptionError
+        A matrix that is not square, empty or not finite.
     DataError
         No full set of eigenvectors, as of a rigid-body motion.
 
@@ -64,6 +66,10 @@ def real_jordan_form(A: ArrayLike) -> RealJordan:
            [-2.,  0.]])
     """
     matrix = np.asarray(A, dtype=np.float64)
+    if matrix.ndim != 2 or len(set(matrix.shape)) > 1 or not matrix.size:
+        raise OptionError(f"A must be square, and not empty; got the shape {matrix.shape}.")
+    if not np.isfinite(matrix).all():
+        raise OptionError("A holds NaN or infinite values; it must be finite.")
     balanced, (scale, _) = scipy.linalg.matrix_balance(matrix, permute=False, separate=True)
     values, vectors = np.linalg.eig(balanced)
     condition = float(np.linalg.cond(vectors))

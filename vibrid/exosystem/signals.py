@@ -33,6 +33,8 @@ def harmonics(fundamental_hz: float, highest_hz: float, lowest_hz: float = 0.0) 
     """
     check_positive("fundamental_hz", fundamental_hz, "Hz")
     check_positive("highest_hz", highest_hz, "Hz")
+    if not lowest_hz >= 0:
+        raise OptionError(f"lowest_hz must not be negative; got {lowest_hz:g}.")
     first = max(1, int(np.ceil(lowest_hz / fundamental_hz * (1 - 1e-12))))
     last = int(np.floor(highest_hz / fundamental_hz * (1 + 1e-12)))
     if last < first:

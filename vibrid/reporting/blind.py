@@ -20,7 +20,7 @@ KINDS = {
     "decay": "a free decay",
     "point": "forces at some degrees of freedom",
     "base": "base motion that was not measured",
-    "ambient": "broadband forces everywhere, as was assumed",
+    "ambient": "broadband forces on every degree of freedom",
     "out_of_band": "forces outside the band of the modes",
     "force_free": "a stretch without forces",
     "none": "nothing could be told",
@@ -61,7 +61,8 @@ def blind_as_json(fit: BlindFit) -> dict[str, Any]:
     verdict = fit.verdict
     facts = {
         **{name: getattr(fit, name) for name in names},
-        "force_rms": _levels(fit),
+        "normalized_force_rms": _levels(fit.normalized_force),
+        "force_rms": None if fit.force is None else _levels(fit.force),
         "frequencies_hz": fit.modes.frequencies_hz,
         "damping_ratios": fit.modes.damping_ratios,
         "shapes": fit.modes.shapes,
@@ -70,6 +71,7 @@ def blind_as_json(fit: BlindFit) -> dict[str, Any]:
             "accepted": verdict.accepted,
             "determined": verdict.determined,
             "missing": verdict.missing,
+            "assumed": verdict.assumed,
             "checks": verdict.checks,
             "refusals": verdict.refusals,
             "findings": verdict.findings,
@@ -93,6 +95,8 @@ def _verdict(fit: BlindFit) -> Iterator[RenderableType]:
         yield line(f"refused, {refusal}", "yellow")
     for missing in verdict.missing if verdict.accepted else ():
         yield line(f"missing: {missing}")
+    for assumed in verdict.assumed:
+        yield line(f"assumed: {assumed}")
 
 
 def _matrices(fit: BlindFit) -> Iterator[RenderableType]:
@@ -146,23 +150,31 @@ def _modes(fit: BlindFit) -> Iterator[RenderableType]:
 
 
 def _force(fit: BlindFit) -> Iterator[RenderableType]:
-    levels = _levels(fit)
+    levels = _levels(fit.normalized_force)
     if not fit.accepted or not (len(fit.input_frequencies_hz) or np.isfinite(levels).any()):
         return
-    yield heading("Force per mass, M⁻¹f [m/s²]")
+    yield heading("Force per mass, M⁻¹f [m/s²]" if fit.units == "SI" else "Force per mass, M⁻¹f")
     if len(fit.input_frequencies_hz):
         listed = ", ".join(f"{f:.5g}" for f in fit.input_frequencies_hz[:MOST_FREQUENCIES])
         more = ", …" if len(fit.input_frequencies_hz) > MOST_FREQUENCIES else ""
         yield line(f"frequencies {listed}{more} Hz")
-    made = table("DOF", "RMS", "RMS error", left=("DOF",))
-    for dof, level, off in zip(fit.dofs, levels, fit.normalized_force_std, strict=True):
-        add(made, dof, number(level, ".4g"), number(off, ".2g"))
+    lowest = np.asarray(fit.diagnostics.figures.get("lowest_force_hz", np.nan))
+    if np.isfinite(lowest).any():
+        yield line(f"from {np.nanmax(lowest):.3g} Hz on; what lies below drowns in noise")
+    columns = [levels, fit.normalized_force_std]
+    names = ["RMS", "RMS error"]
+    if fit.force is not None:
+        columns.append(_levels(fit.force))
+        names.append("force f, RMS [N]" if fit.units == "SI" else "force f, RMS")
+    made = table("DOF", *names, left=("DOF",))
+    for dof, level, off, *force in zip(fit.dofs, *columns, strict=True):
+        add(made, dof, number(level), number(off, ".2g"), *map(number, force))
     yield indented(made)
 
 
-def _levels(fit: BlindFit) -> Floats:
-    """Return the root mean square of the force at each DOF."""
-    return np.asarray(np.sqrt(np.mean(fit.normalized_force**2, axis=0)))
+def _levels(force: Floats) -> Floats:
+    """Return the root mean square of a force at each DOF."""
+    return np.asarray(np.sqrt(np.mean(force**2, axis=0)))
 
 
 def _checks(fit: BlindFit) -> Iterator[RenderableType]:

@@ -17,12 +17,19 @@ MOST_PER_MODE, MOST = 3, 12  # oscillations looked for: so many per sensor, and 
 SAMPLES_EACH = 8  # samples of a record for each oscillation at least
 
 
-def signals_of(
-    records: Sequence[Record], n_dof: int, input_frequencies_hz: Sequence[float] | None
-) -> tuple[Sensors, Signals]:
-    """Return the sensors and the signals of records that go together."""
+def records_of(data: Record | Sequence[Record]) -> list[Record]:
+    """Return one record or several as a list, which is not empty."""
+    records = [data] if isinstance(data, Record) else list(data)
     if not records:
         raise OptionError("data is empty; give a Record or several.")
+    return records
+
+
+def signals_of(
+    data: Record | Sequence[Record], n_dof: int, input_frequencies_hz: Sequence[float] | None
+) -> tuple[Sensors, Signals]:
+    """Return the sensors and the signals of records that go together."""
+    records = records_of(data)
     each = [sensors_of(record, n_dof) for record in records]
     first = each[0]
     for record, other in zip(records, each, strict=True):

@@ -6,32 +6,35 @@ they are several times more certain than the transient alone.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 import scipy.linalg as sla
 from numpy.typing import ArrayLike, NDArray
 
-from ...errors import DataError, OptionError
+from ...errors import DataError, OptionError, check_choice
 from ...exosystem import signal_basis
 from ...fit import Diagnostics
 from ...modes import Complexes
 from ...record import Floats, Record
+from ...statespace import HOLDS
 from .. import refusals
-from ..coordinates import normalized_system
+from ..coordinates import check_independent, normalized_system
 from ..result import BlindFit, BlindVerdict, Refusal, blind_fit, modes_from
-from ..sensors import Sensors
+from ..sensors import Sensors, forces_of
 from .components import Signals
-from .data import most_oscillations, signals_of
+from .data import most_oscillations, records_of, signals_of
 from .division import divide
-from .modal import modal_estimate
+from .judged import CURES, refused, unexplained
+from .modal import condition, modal_estimate, swinging
 from .place import Place
 from .search import Progress, grow, settle
 
 MISFIT = 1.5  # χ² per degree of freedom of both parts together
 MOST_SINES = 40  # of a force whose frequencies are not given
 SINGULAR = 1e-12
+LACKING = "a transient, or at least n + r / 2 frequencies of r forces"
 
 
 @dataclass(frozen=True, eq=False)
@@ -81,69 +84,89 @@ def blind_measured(
     BlindFit
         Without a transient too, if there are at least n + r / 2 frequencies of r forces.
     """
-    records = [data] if isinstance(data, Record) else list(data)
-    hertz = _frequencies(records, input_frequencies_hz)
+    check_choice("hold", hold, HOLDS)
+    records = records_of(data)
+    inputs = _inputs_of(records)
+    hertz = _frequencies(inputs, records[0].dt, input_frequencies_hz)
     sensors, signals = signals_of(records, n_dof, hertz.tolist())
     growth = grow(signals, most_oscillations(signals), progress)
-    steady = _steady(growth.place, records)
+    if not growth.explained:
+        return unexplained(sensors, growth.place)
+    steady = _steady(growth.place, inputs)
     transient, judged = _transient(growth.place, sensors)
-    if transient is None and 2 * len(hertz) < 2 * n_dof + records[0].n_inputs:
-        return _refused(sensors, *refusals.together(*judged))
     start = _by_rows(steady, sensors.powers) if transient is None else transient[0]
+    if start is None:
+        return refused(sensors, *refusals.together(judged), (LACKING,))
     joint = _joint(steady, sensors, hold, start, transient)
-    return _answer(sensors, records, joint, judged if transient else [], hertz, mass)
+    judged = judged if transient else ({}, [])
+    return _answer(sensors, np.vstack(inputs), steady, joint, judged, mass)
 
 
-def _frequencies(records: Sequence[Record], given: Sequence[float] | None) -> Floats:
-    if any(record.n_inputs == 0 for record in records):
+def _inputs_of(records: Sequence[Record]) -> tuple[Floats, ...]:
+    """Return the measured forces of records that go together, in SI."""
+    counts = {record.n_inputs for record in records}
+    if 0 in counts:
         raise OptionError("Measured forces are the inputs of the record; one has none.")
+    if len(counts) > 1:
+        raise DataError(f"The records have {sorted(counts)} inputs; select the same from each.")
+    return tuple(forces_of(record) for record in records)
+
+
+def _frequencies(inputs: tuple[Floats, ...], dt: float, given: Sequence[float] | None) -> Floats:
     if given is not None:
         return np.sort(np.asarray(given, dtype=np.float64))
-    inputs = tuple(np.asarray(record.inputs[:], dtype=np.float64) for record in records)
-    signals = Signals(inputs, records[0].dt, np.zeros(0))
+    signals = Signals(inputs, dt, np.zeros(0))
     growth = grow(signals, MOST_SINES)
     if not growth.explained:
         raise DataError(
             "The measured forces are not a sum of a few sines; identify() takes any force."
         )
     found = growth.place.components
+    if not len(found):
+        raise DataError("The measured forces hold no sine; identify() takes any force.")
     held = found.held(np.zeros(len(found), dtype=bool), 0.0)
     rates = settle(Place(held, signals)).components.frequencies
     return np.sort(rates) / (2 * np.pi)
 
 
-def _steady(place: Place, records: Sequence[Record]) -> Steady:
+def _steady(place: Place, inputs: tuple[Floats, ...]) -> Steady:
     signals = place.signals
-    forces, deviations = [], []
-    for k, record in enumerate(records):
-        u = np.asarray(record.inputs[:], dtype=np.float64)
+    every, deviations = [], []
+    for k, u in enumerate(inputs):
         times = signals.dt * np.arange(len(u))
         basis = signal_basis(signals.known / (2 * np.pi), times, offset=True)
         weights = np.linalg.lstsq(basis, u, rcond=None)[0][1:]
-        forces.append((weights[0::2] - 1j * weights[1::2]).T)
+        every.append(weights)
         deviations.append(np.sqrt(2 * place.noise(k) / len(u)))
-    motions = np.array([place.known_shapes(k) for k in range(len(records))])
-    return Steady(signals.known, motions, np.array(forces), np.array(deviations))
+    check_independent(np.vstack(every))
+    forces = np.array([(each[0::2] - 1j * each[1::2]).T for each in every])
+    motions = np.array([place.known_shapes(k) for k in range(len(inputs))])
+    return Steady(signals.known, motions, forces, np.array(deviations))
 
 
 def _transient(
     place: Place, sensors: Sensors
-) -> tuple[tuple[Floats, Floats] | None, list[refusals.Judged]]:
-    """Return [𝒦 𝒟] and covariance from the decaying part, None where there is none."""
+) -> tuple[tuple[Floats, Floats] | None, refusals.Judged]:
+    """Return [𝒦 𝒟] and covariance from the decaying part, None where it does not tell them."""
     n = sensors.setting.n_dof
     if not len(place.components):
-        return None, [refusals.of_certainty(np.zeros(0), n)]
+        return None, refusals.of_certainty(np.zeros(0), n)
     division = divide(place, n)
-    certainty = refusals.of_certainty(division.certainty, n)
-    if int(division.modes.sum()) < n or any(each.rule == "R1" for each in certainty[1]):
-        return None, [certainty]
+    judged = refusals.of_certainty(division.certainty, n)
+    if int(division.modes.sum()) < n or any(each.rule == "R1" for each in judged[1]):
+        return None, judged
     estimate = modal_estimate(division.place, division.modes, sensors.powers)
-    matrices = estimate.normalized()
-    return matrices, [certainty, refusals.of_matrices(matrices[0], estimate.condition())]
+    coinciding = refusals.of_condition(estimate.condition())
+    if coinciding[1]:
+        return None, (judged[0] | coinciding[0], judged[1] + coinciding[1])
+    return estimate.normalized(), judged
 
 
-def _by_rows(steady: Steady, powers: NDArray[np.int64]) -> Floats:
-    """Return [𝒦 𝒟] by least squares of 𝒦q + 𝒟q̇ − ℬu = −q̈ on the steady state, row by row."""
+def _by_rows(steady: Steady, powers: NDArray[np.int64]) -> Floats | None:
+    """Return [𝒦 𝒟] by least squares of 𝒦q + 𝒟q̇ − ℬu = −q̈ on the steady state, row by row.
+
+    None where these are too few, or sensors depend on each other.
+    """
     s = 1j * steady.rates
     q = np.hstack(list(steady.motions / s ** powers[:, None]))
     s = np.tile(s, len(steady.motions))
@@ -152,18 +175,43 @@ def _by_rows(steady: Steady, powers: NDArray[np.int64]) -> Floats:
     wanted = (-(s**2) * q).T
     both = [np.concatenate([each.real, each.imag]) for each in (A, wanted)]
     size = np.linalg.norm(both[0], axis=0)
-    found = np.linalg.lstsq(both[0] / size, both[1], rcond=None)[0] / size[:, None]
-    return np.asarray(found[: 2 * len(powers)].T)
+    found, _, rank, _ = np.linalg.lstsq(both[0] / size, both[1], rcond=SINGULAR)
+    if rank < len(size):
+        return None
+    return np.asarray((found / size[:, None])[: 2 * len(powers)].T)
 
 
 @dataclass(frozen=True, eq=False)
 class Joint:
-    """The joint fit."""
+    """The joint fit.
+
+    Attributes
+    ----------
+    P : array (n, 2 n)
+        [𝒦 𝒟].
+    B : array (n, r)
+    covariance : array (2 n² + n r, 2 n² + n r)
+        Of the columns of P and of B, stacked.
+    misfit : float
+        χ² per degree of freedom.
+    """
 
     P: Floats
     B: Floats
     covariance: Floats
     misfit: float
+
+    @property
+    def of_matrices(self) -> Floats:
+        """Covariance of the columns of P."""
+        return self.covariance[: self.P.size, : self.P.size]
+
+    @property
+    def of_inputs(self) -> Floats:
+        """Covariance of each row of ℬ (n, r, r)."""
+        n, r = self.B.shape
+        blocks = self.covariance[self.P.size :, self.P.size :].reshape(r, n, r, n)
+        return np.asarray(np.einsum("ijkj->jik", blocks))
 
 
 def _joint(
@@ -192,9 +240,8 @@ def _joint(
         return np.concatenate(parts)
 
     x = np.concatenate([start.ravel(order="F"), B.ravel(order="F")])
-    scale = np.concatenate(
-        [np.repeat(np.linalg.norm(part), part.size) for part in _thirds(start, B)]
-    )
+    parts = (start[:, :n], start[:, n:], B)
+    scale = np.concatenate([np.repeat(np.linalg.norm(part), part.size) for part in parts])
     found = least_squares(lambda z: errors(z * scale), x / scale, method="lm", xtol=1e-12)
     J = found.jac / scale
     size = np.linalg.norm(J, axis=0)
@@ -204,13 +251,9 @@ def _joint(
     return Joint(
         values[: 2 * n * n].reshape(2 * n, n).T,
         values[2 * n * n :].reshape(r, n).T,
-        V[: 2 * n * n, : 2 * n * n],
+        np.asarray(V),
         float(2 * found.cost / freedom),
     )
-
-
-def _thirds(P: Floats, B: Floats) -> tuple[Floats, Floats, Floats]:
-    return P[:, : len(P)], P[:, len(P) :], B
 
 
 def _whitener(covariance: Floats) -> Floats:
@@ -243,52 +286,44 @@ def _inputs(G: Complexes, steady: Steady) -> Floats:
     return np.asarray(np.linalg.lstsq(both[0].T, both[1].T, rcond=None)[0].T)
 
 
-def _refused(
-    sensors: Sensors, checks: Mapping[str, float], refused: tuple[Refusal, ...]
-) -> BlindFit:
-    setting, n = sensors.setting, sensors.setting.n_dof
-    unknown = np.full((n, n), np.nan)
-    none = modes_from(np.zeros(0, complex), np.zeros((n, 0), complex), setting)
-    determined = {"normalized_stiffness": False, "normalized_damping": False}
-    missing = ("a transient, or at least n + r / 2 frequencies of r forces",)
-    verdict = BlindVerdict("none", determined, missing, checks, refused, sensors.findings)
-    return blind_fit(setting, unknown, unknown, none, verdict)
-
-
 def _answer(
     sensors: Sensors,
-    records: Sequence[Record],
+    inputs: Floats,
+    steady: Steady,
     joint: Joint,
-    judged: Sequence[refusals.Judged],
-    hertz: Floats,
+    judged: refusals.Judged,
     mass: ArrayLike | None,
 ) -> BlindFit:
     setting, n = sensors.setting, sensors.setting.n_dof
-    further = refusals.of_deviations(joint.P, joint.covariance)
-    checks, refused = refusals.together(*judged, further, _of_misfit(joint.misfit))
+    poles, shapes, deviations = swinging(joint.P, joint.of_matrices)
+    checks, broken = refusals.together(
+        judged,
+        refusals.of_deviations(joint.P, joint.of_matrices),
+        refusals.of_matrices(joint.P, condition(poles, shapes)),
+        _of_misfit(joint.misfit),
+    )
     damping = checks["damping_deviation"] <= refusals.DAMPING
-    inputs = np.vstack([np.asarray(record.inputs[:], dtype=np.float64) for record in records])
-    A = np.block([[np.zeros((n, n)), np.eye(n)], [-joint.P]])
-    poles, vectors = np.linalg.eig(A)
-    up = poles.imag > 0
-    determined = {
-        "normalized_stiffness": True,
-        "normalized_damping": damping,
-        "normalized_force": True,
-        "normalized_input": True,
-    }
+    names = ("normalized_stiffness", *CURES, "normalized_input")
+    determined = {**dict.fromkeys(names, True), "normalized_damping": damping}
+    missing = () if damping else (CURES["normalized_damping"],)
+    input_std = np.sqrt(np.einsum("ijj->ij", joint.of_inputs))
+    force_std = np.sqrt(np.einsum("ijk,jk->i", joint.of_inputs, inputs.T @ inputs) / len(inputs))
     return blind_fit(
         setting,
         joint.P[:, :n],
         joint.P[:, n:] if damping else np.full((n, n), np.nan),
-        modes_from(poles[up], vectors[:n, up], setting),
-        BlindVerdict("periodic", determined, (), checks, refused, sensors.findings),
-        covariance=joint.covariance,
+        modes_from(
+            poles, shapes, setting, frequencies_std=deviations[0], damping_std=deviations[1]
+        ),
+        BlindVerdict("periodic", determined, missing, checks, broken, sensors.findings),
+        covariance=joint.of_matrices,
         force=inputs @ joint.B.T,
-        input_frequencies_hz=hertz,
+        force_std=force_std,
+        phasors=joint.B @ steady.forces,
+        input_frequencies_hz=steady.rates / (2 * np.pi),
         normalized_input=joint.B,
         mass=mass,
-        diagnostics=Diagnostics({"misfit": joint.misfit}),
+        diagnostics=Diagnostics({"misfit": joint.misfit, "normalized_input_std": input_std}),
     )
 
 

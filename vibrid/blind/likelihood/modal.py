@@ -15,10 +15,9 @@ from numpy.typing import NDArray
 from ...modes import Complexes
 from ...physical.scaling import normalized_of
 from ...record import Floats
+from ..coordinates import Powers
 from .components import Mask
 from .place import Place
-
-Powers = NDArray[np.int64]
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,14 +41,7 @@ class ModalEstimate:
     def deviations(self) -> tuple[Floats, Floats]:
         """Standard deviations of the frequencies [Hz] and damping ratios."""
         k = len(self.poles)
-        size = np.abs(self.poles)
-        sigma, omega = -self.poles.real, self.poles.imag
-        first = np.stack([np.diag(omega), np.diag(sigma)], axis=1).reshape(k, 2 * k)
-        second = np.stack([np.diag(-sigma * omega), np.diag(omega**2)], axis=1).reshape(k, 2 * k)
-        V = self.covariance[: 2 * k, : 2 * k]
-        hertz, ratio = first / size[:, None] / (2 * np.pi), second / size[:, None] ** 3
-        stds = [np.sqrt(np.einsum("ij,jk,ik->i", each, V, each)) for each in (hertz, ratio)]
-        return np.asarray(stds[0]), np.asarray(stds[1])
+        return _pole_deviations(self.poles, self.covariance[: 2 * k, : 2 * k])
 
     def normalized(self) -> tuple[Floats, Floats]:
         """Return [𝒦 𝒟] (n, 2 n) and the covariance of its columns stacked."""
@@ -60,20 +52,12 @@ class ModalEstimate:
         return P, np.asarray(slope @ self.covariance @ slope.T)
 
     def condition(self) -> float:
-        """Return the condition of [s; s λ], columns of unit length and rates in their mean."""
-        return float(np.linalg.cond(self._both(scaled=True)))
-
-    def _both(self, scaled: bool = False) -> Complexes:
-        s = np.hstack([self.shapes, self.shapes.conj()])
-        poles = np.concatenate([self.poles, self.poles.conj()])
-        unit = np.exp(np.mean(np.log(np.abs(poles)))) if scaled else 1.0
-        W = np.vstack([s, s * poles / unit])
-        return np.asarray(W / np.linalg.norm(W, axis=0)) if scaled else W
+        return condition(self.poles, self.shapes)
 
     def _slope(self, P: Floats) -> Floats:
         """Return the derivatives of vec P: dP = −2 Re Σ (ds λ² + 2 s λ dλ + P d[s; s λ]) w."""
         n, k = self.shapes.shape
-        rows = np.linalg.inv(self._both())[:k]
+        rows = np.linalg.inv(_with_rates(self.shapes, self.poles))[:k]
         columns: list[list[Floats]] = [[], [], [], []]
         for pole, s, w in zip(self.poles, self.shapes.T, rows, strict=True):
             by_pole = 2 * s * pole + P[:, n:] @ s
@@ -83,6 +67,45 @@ class ModalEstimate:
                 change = -2 * (v[:, None, :] * w[None, :, None]).real
                 place.append(change.transpose(1, 0, 2).reshape(-1, v.shape[1]))
         return np.hstack([part for place in columns for part in place])
+
+
+def condition(poles: Complexes, shapes: Complexes) -> float:
+    """Return the condition of [s; s λ], DOFs, modes and rates in units of their own size."""
+    s = shapes / np.linalg.norm(shapes, axis=0)
+    size = np.linalg.norm(s, axis=1, keepdims=True)
+    W = _with_rates(s / size, poles / np.exp(np.mean(np.log(np.abs(poles)))))
+    return float(np.linalg.cond(W / np.linalg.norm(W, axis=0)))
+
+
+def _with_rates(shapes: Complexes, poles: Complexes) -> Complexes:
+    """Return [s; s λ], both poles of each pair."""
+    both = np.vstack([shapes, shapes * poles])
+    return np.hstack([both, both.conj()])
+
+
+def _pole_deviations(poles: Complexes, covariance: Floats) -> tuple[Floats, Floats]:
+    """Return the deviations of frequencies [Hz] and damping ratios, from those of ω and σ."""
+    size, sigma, omega = np.abs(poles), -poles.real, poles.imag
+    hertz = np.hstack([np.diag(omega), np.diag(sigma)]) / (2 * np.pi * size[:, None])
+    ratio = np.hstack([np.diag(-sigma * omega), np.diag(omega**2)]) / size[:, None] ** 3
+    stds = [np.sqrt(np.einsum("ij,jk,ik->i", each, covariance, each)) for each in (hertz, ratio)]
+    return np.asarray(stds[0]), np.asarray(stds[1])
+
+
+def swinging(P: Floats, covariance: Floats) -> tuple[Complexes, Complexes, tuple[Floats, Floats]]:
+    """Return poles and shapes of P = [𝒦 𝒟], and the deviations of frequencies and damping ratios.
+
+    `covariance` is of the columns of P stacked. Modes that do not swing are left out.
+    """
+    n = len(P)
+    A = np.block([[np.zeros((n, n)), np.eye(n)], [-P]])
+    poles, right = np.linalg.eig(A)
+    left, up = np.linalg.inv(right), poles.imag > 0
+    # dλ = l dA r, and only the lower half of A moves
+    slope = -np.array([np.kron(right[:, k], left[k, n:]) for k in np.flatnonzero(up)])
+    by_rates = np.vstack([slope.imag, -slope.real]).reshape(-1, 2 * n * n)
+    V = by_rates @ covariance @ by_rates.T
+    return poles[up], right[:n, up], _pole_deviations(poles[up], V)
 
 
 def modal_estimate(place: Place, modes: Mask, powers: Powers) -> ModalEstimate:
@@ -138,20 +161,22 @@ def _shapes(
     c, part = place.components, place.parts[record]
     n, k = len(powers), len(chosen)
     sine = len(c) + np.cumsum(~c.real) - 1
-    seen = place.shapes(record)[:, chosen] * np.exp(-1j * place.components.phases[record, chosen])
+    a, b = place.pairs(record)
+    seen = 0.5 * (a - 1j * b)[chosen].T  # real ones exactly
     s = np.empty((n, k), dtype=np.complex128)
     by_rate = np.zeros((n, k, len(place.covariance)), dtype=np.complex128)
     by_amplitude = np.zeros((n, k, n, len(part.root)), dtype=np.complex128)
     for i, (column, ref) in enumerate(zip(chosen, references, strict=True)):
         pole = c.poles[column]
-        moved = seen[:, i] / pole**powers
+        scale = pole ** (powers - powers[ref])
+        moved = seen[:, i] / scale
         s[:, i] = moved / moved[ref]
         turn = s[:, i] * (powers[ref] - powers) / pole / place.signals.duration
         by_rate[:, i, column], by_rate[:, i, len(c) + column] = 1j * turn, -turn
         each = np.arange(n)
         for place_of, unit in ((column, 0.5), (sine[column], -0.5j))[: 1 + int(not c.real[column])]:
-            by_amplitude[each, i, each, place_of] += unit / pole**powers / moved[ref]
-            by_amplitude[:, i, ref, place_of] -= s[:, i] * unit / pole ** powers[ref] / moved[ref]
+            by_amplitude[each, i, each, place_of] += unit / scale / moved[ref]
+            by_amplitude[:, i, ref, place_of] -= s[:, i] * unit / moved[ref]
         # exactly, or rounding would look like knowledge
         s[ref, i], by_rate[ref, i], by_amplitude[ref, i] = 1, 0, 0
     F = np.concatenate([_flat(by_amplitude.real), _flat(by_amplitude.imag)])

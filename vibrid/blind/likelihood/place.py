@@ -11,10 +11,9 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-import scipy.linalg as sla
 from numpy.typing import NDArray
 
-from ...linalg import solve_upper
+from ...linalg import solve_upper, triangle
 from ...modes import Complexes
 from ...record import Floats
 from .components import Components, Signals, oscillations
@@ -94,7 +93,7 @@ class Place:
         """Fisher's, the amplitudes being unknown too; zero rows where nothing is searched."""
         total = np.zeros((self._size, self._size))
         for J, v in zip(self._jacobians, self.variances, strict=True):
-            flat = (J / np.sqrt(v)).transpose(0, 2, 1).reshape(-1, self._size)
+            flat = (J / np.sqrt(v)).transpose(0, 2, 1).reshape(J.shape[0] * len(v), self._size)
             total += flat.T @ flat
         return total
 
@@ -155,8 +154,12 @@ class Place:
 
     @property
     def known_start(self) -> int:
-        """Where the columns of known frequencies begin: cosines, sines, then the constant."""
+        """Where the columns of known frequencies begin: cosines, then sines."""
         return len(self.components) + int((~self.components.real).sum())
+
+    def constants(self, record: int) -> Floats:
+        """Return the offset of each channel."""
+        return np.asarray(self.parts[record].amplitudes[-1])
 
     def known_shapes(self, record: int) -> Complexes:
         """Return phasors (n_channels, n_known) with y = Σ Re(c e^{iωt})."""
@@ -186,8 +189,7 @@ class Place:
         p, d = len(Phi), len(D)
         size = np.linalg.norm(Phi, axis=1)
         table = np.vstack([Phi / size[:, None], D, self.signals.samples[record].T])
-        R = sla.qr(table.T, mode="r", overwrite_a=True, check_finite=False)[0]
-        R = np.asarray(R[: len(table)])
+        R = triangle(table.T)
         answers = solve_upper(R[:p, :p], R[:p, p:]) / size[:, None]
         left = R[p:, p + d :]
         return Part(

@@ -10,14 +10,11 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from ..modes import Complexes
-from ..record import Floats
-from .coordinates import Powers
-from .likelihood.components import Components, Signals
-from .likelihood.modal import ModalEstimate, modal_estimate
-from .likelihood.place import Place
-from .result import Refusal
-from .subspace_poles import Amplitudes, Division, FreePoles
+from ...modes import Complexes
+from ...record import Floats
+from ..result import Refusal
+from .case import Case
+from .division import Amplitudes, unexplained
 
 FADED = 0.7  # σT of a mode: less cannot be told from a sine that does not decay
 STEADY = 0.7  # |σ|T of an input: more is no sine
@@ -34,34 +31,25 @@ UNMODELLED = 1e-5  # the same where a finite signal stands for the force
 BAND = 1.3  # times the highest and through the lowest frequency: the band
 
 
-def check_figures(
-    division: Division,
-    duration: float,
-    again: list[FreePoles],
-    fitted: Amplitudes,
-    outputs: Floats,
-    dt: float,
-    separated: bool = False,
-) -> dict[str, float]:
-    """Return the figures that the rules of `refusals` look at.
-
-    `separated`: the division is known from the force's band.
-    """
+def check_figures(case: Case, fitted: Amplitudes) -> dict[str, float]:
+    """Return the figures that the rules of `refusals` look at."""
+    division, duration, dt = case.division, case.record.duration, case.record.dt
     decay = -division.structure.real * duration
     inputs = np.abs(division.inputs.real) * duration
     every = np.concatenate([division.structure, division.inputs])
-    size = np.linalg.norm(outputs - outputs.mean(axis=0), axis=0)
-    floor = size * (UNMODELLED if separated else ROUNDING)
-    left = fitted.residuals
+    size = np.linalg.norm(case.outputs - case.outputs.mean(axis=0), axis=0)
+    floor = size * (UNMODELLED if case.limited else ROUNDING)
+    left = unexplained(fitted, dt, division)
     if (np.linalg.norm(left, axis=0) <= floor).all():
         left = np.zeros_like(left)
+    changes = [_change(division.structure, each.poles) for each in case.again]
     return {
         "modes_found": float(len(decay)),
         "slowest_decay": float(decay.min(initial=np.inf)),
         "fastest_input": float(inputs.max(initial=0.0)),
         "growth": float(every.real.max(initial=0.0) * duration),
-        "change": max((_change(division.structure, each.poles) for each in again), default=0.0),
-        "weakest_mode": _weakest(fitted),
+        "change": max(changes, default=0.0),
+        "weakest_mode": float(fitted.sizes.min(initial=np.inf)),
         "residual_colour": _colour(left / size, every, dt),
         "residual_front": _front(left),
     }
@@ -73,12 +61,6 @@ def _change(poles: Complexes, others: Complexes) -> float:
         return np.inf
     gaps = np.abs(poles[:, None] - others[None, :]).min(axis=1)
     return float((gaps / np.maximum(np.abs(poles.real), 1e-300)).max(initial=0.0))
-
-
-def _weakest(fitted: Amplitudes) -> float:
-    """Return the size of the weakest mode over the deviation of its 2 n_channels numbers."""
-    noise = np.sqrt(np.mean(fitted.residuals**2) * 2 * fitted.residuals.shape[1])
-    return float(fitted.sizes.min(initial=np.inf) / max(noise, 1e-300))
 
 
 def _colour(residuals: Floats, poles: Complexes, dt: float) -> float:
@@ -107,12 +89,15 @@ def _front(residuals: Floats) -> float:
 
 
 def refusals(
-    figures: Mapping[str, float], n_dof: int, duration: float, separated: bool = False
+    figures: Mapping[str, float], n_dof: int, duration: float, limited: bool = False
 ) -> list[Refusal]:
-    """Return what speaks against a division, before any matrix is made."""
+    """Return what speaks against a division, before any matrix is made.
+
+    `limited`: the division is known from the force's band, not from decays.
+    """
     if figures["modes_found"] < n_dof:
         return [_too_few(figures, n_dof)]
-    found = [] if separated else _of_decay(figures, n_dof, duration)
+    found = [] if limited else _of_decay(figures, n_dof, duration)
     if figures["growth"] > GROWING:
         found.append(
             _refusal(
@@ -133,7 +118,7 @@ def _of_decay(figures: Mapping[str, float], n_dof: int, duration: float) -> list
         return [
             _refusal(
                 "R1",
-                f"The slowest of {n_dof} modes decays by e^-{slow:.2g} only within {duration:g} s "
+                f"The slowest of {n_dof} modes decays by e^{-slow:.2g} only within {duration:g} s "
                 f"(limit {FADED:g}). Modes are told from forces by a transient alone.",
                 "Record from the start of the motion, or for longer.",
                 figures,
@@ -226,19 +211,6 @@ def _too_few(figures: Mapping[str, float], n_dof: int) -> Refusal:
         figures,
         "modes_found",
     )
-
-
-def accuracy(outputs: Floats, dt: float, division: Division, powers: Powers) -> ModalEstimate:
-    """Return poles and shapes with their Cramér-Rao bounds, the input's frequencies given.
-
-    The bound is that of maximum likelihood at these poles; the subspace method with its long
-    horizon comes within about a tenth of it.
-    """
-    n = len(division.structure)
-    yes, phases = np.ones(n, dtype=bool), np.zeros((1, n))
-    modes = Components(division.structure.imag, -division.structure.real, yes, ~yes, phases)
-    signals = Signals((outputs,), dt, 2 * np.pi * division.input_hz)
-    return modal_estimate(Place(modes, signals), yes, powers)
 
 
 def _refusal(

@@ -1,4 +1,4 @@
-"""Exact records of chains under sums of sines, with a transient: what blind tests know."""
+"""Exact records of chains under sums of sines, with a transient: what tests and studies know."""
 
 from __future__ import annotations
 
@@ -12,6 +12,7 @@ from vibrid.mechanics import undamped_modes
 from vibrid.structures import Structure, chain
 
 Floats = NDArray[np.float64]
+WEAK_BAND = (0.3, 8.0)  # Hz, of random forces
 DAMPING = np.array([[1.1, -0.5, 0.0], [-0.5, 0.9, -0.4], [0.0, -0.4, 0.4]])
 REFERENCE = chain([2.0, 1.5, 1.0], [600.0, 400.0, 300.0], damping=DAMPING)
 SINES_HZ = (0.7, 1.9, 3.3, 5.1, 6.4)
@@ -124,7 +125,7 @@ def under_noise(
     duration: float,
     snr_db: float | None,
     rng: np.random.Generator,
-    band_hz: tuple[float, float] = (0.3, 8.0),
+    band_hz: tuple[float, float] = WEAK_BAND,
     dt: float = 0.01,
 ) -> Case:
     """Return accelerations under random forces within a band: very many sines, from rest."""
@@ -144,3 +145,68 @@ def under_noise(
         snr_db=snr_db,
         rng=rng,
     )
+
+
+def under_random_sines(n_dof: int, snr_db: float, seed: int) -> tuple[Case, Floats]:
+    """Return 60 s at 100 Hz from rest under n + 2 sines on every DOF, and their frequencies."""
+    rng = np.random.default_rng([n_dof, seed])
+    structure = uniform_chain(n_dof)
+    hertz = np.sort(rng.uniform(0.5, 1.1 * structure.frequencies_hz[-1], n_dof + 2))
+    phasors = np.exp(1j * rng.uniform(0, 2 * np.pi, (n_dof, n_dof + 2)))
+    start = np.zeros(2 * n_dof)
+    case = under_sines(
+        structure, hertz, phasors, dt=0.01, n_samples=6000, start=start, snr_db=snr_db, rng=rng
+    )
+    return case, hertz
+
+
+def under_measured_force(
+    n_dof: int, snr_db: float, rng: np.random.Generator
+) -> tuple[Case, Floats]:
+    """Return 60 s at 100 Hz from rest under sixteen harmonics of 0.5 Hz on the first DOF."""
+    hertz = np.linspace(0.5, 8.0, 16)
+    phasors = np.zeros((n_dof, 16), dtype=np.complex128)
+    phasors[0] = np.exp(1j * rng.uniform(0, 2 * np.pi, 16))
+    case = under_sines(
+        uniform_chain(n_dof),
+        hertz,
+        phasors,
+        dt=0.01,
+        n_samples=6000,
+        start=np.zeros(2 * n_dof),
+        snr_db=snr_db,
+        rng=rng,
+        inputs=True,
+    )
+    return Case(case.record.select(inputs=["u1"]), case.structure, case.force), hertz
+
+
+def decay(n_dof: int, snr_db: float, seed: int) -> Case:
+    """Return a free decay after velocity impulses, 60 s at 100 Hz."""
+    rng = np.random.default_rng(seed)
+    start = np.concatenate([np.zeros(n_dof), rng.standard_normal(n_dof)])
+    nothing = np.zeros((n_dof, 1), dtype=np.complex128)
+    return under_sines(
+        uniform_chain(n_dof),
+        np.array([1.0]),
+        nothing,
+        dt=0.01,
+        n_samples=6000,
+        start=start,
+        snr_db=snr_db,
+        rng=rng,
+    )
+
+
+def held_reference(seed: int) -> Case:
+    """Return the reference example with forces held between the samples, without noise."""
+    case = reference(seed, None)
+    model = REFERENCE.state_space(forces=REFERENCE.dofs).to_discrete(case.record.dt)
+    start = np.concatenate([np.random.default_rng([seed, 1]).normal(0, 0.1, 3), np.zeros(3)])
+    held = vb.Record(model.simulate(case.force @ REFERENCE.mass, start), dt=case.record.dt)
+    return Case(held, REFERENCE, case.force)
+
+
+def two_forces(snr_db: float | None, rng: np.random.Generator) -> Case:
+    """Return five masses, forces on the second and the last, 20 s."""
+    return under_noise(uniform_chain(5), [1, 4], duration=20.0, snr_db=snr_db, rng=rng)

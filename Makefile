@@ -5,6 +5,7 @@ PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 PINS := constraints.txt
+SHARED := --numprocesses auto --dist worksteal # a test process for each core; ARGS='-n 0' for one
 # The second name pins what builds the package too; pip before 25.3 reads the first for that.
 PIP := PIP_CONSTRAINT=$(PINS) PIP_BUILD_CONSTRAINT=$(PINS) PIP_DISABLE_PIP_VERSION_CHECK=1 \
 	$(BIN)/python -m pip install --quiet
@@ -15,11 +16,12 @@ PIP := PIP_CONSTRAINT=$(PINS) PIP_BUILD_CONSTRAINT=$(PINS) PIP_DISABLE_PIP_VERSI
 help: ## list these commands
 	@echo "make demo          identify two records: a real building and a simulated shaker test"
 	@echo "make demo FILE=…   identify your own file; more options as ARGS='--dt 0.01 --order 12'"
-	@echo "make test          run the tests"
+	@echo "make test          run the tests, on all cores; ARGS='-n 0 -k name' on one, by name"
 	@echo "make slow          run the longer evidence and the benchmarks' self-test"
 	@echo "make check         check format and lint (ruff) and types (mypy --strict)"
 	@echo "make bench         write docs/benchmarks.md; ARGS=--quick for small sizes, ARGS='--only W5'"
-	@echo "make studies       run the Monte-Carlo studies and write docs/studies (long)"
+	@echo "make studies       run the Monte-Carlo studies and write docs/studies (hours; goes on where"
+	@echo "                   it stopped); some: ARGS='blind blind_acceptance --minutes 50 --workers 2'"
 	@echo "make clean         remove .venv, caches and build products"
 	@echo "Each sets up .venv by itself with $(PYTHON); another one: make test PYTHON=python3.12"
 
@@ -27,10 +29,10 @@ demo: $(VENV)/core.stamp
 	$(BIN)/vibrid demo $(if $(FILE),"$(FILE)") $(ARGS)
 
 test: $(VENV)/dev.stamp
-	$(BIN)/python -m pytest $(ARGS)
+	$(BIN)/python -m pytest $(SHARED) $(ARGS)
 
 slow: $(VENV)/dev.stamp
-	$(BIN)/python -m pytest -m slow $(ARGS)
+	$(BIN)/python -m pytest -m slow $(SHARED) $(ARGS)
 
 check: $(VENV)/dev.stamp
 	$(BIN)/ruff format --check .

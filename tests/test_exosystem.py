@@ -139,6 +139,13 @@ def test_a_defective_matrix_has_no_form_in_rounding():
         real_jordan_form([[0.0, 1.0], [0.0, 0.0]])
 
 
+@pytest.mark.parametrize("A", [[[1.0, 2.0, 3.0]], 5.0, np.zeros((0, 0)), [[np.nan]]])
+def test_what_is_no_square_matrix_is_refused(A):
+    """By name, before any decomposition."""
+    with pytest.raises(OptionError, match=r"A (must be square|holds NaN)"):
+        real_jordan_form(A)
+
+
 # -- augmentation
 
 
@@ -171,9 +178,10 @@ def test_a_continuous_force_is_augmented_in_continuous_time(rng):
 
 
 @pytest.mark.parametrize("dt", [None, 0.02])
-def test_sines_are_seen_and_constants_are_not(dt):
-    """Accelerometers: shared sines are observable with more forces than sensors would allow."""
-    continuous = structure().state_space(forces=["f1", "f2", "f3"])
+@pytest.mark.parametrize("sensors", ["acceleration", "velocity"])
+def test_sines_are_seen_and_constants_are_not(sensors, dt):
+    """Shared sines are observable with more forces than sensors would allow."""
+    continuous = structure().state_space(sensors, forces=["f1", "f2", "f3"])
     system = continuous if dt is None else continuous.to_discrete(dt)
     C_u = np.arange(1.0, 22.0).reshape(3, 7) % 5 - 2
     signal = periodic_signal(FREQUENCIES, offset=True, outputs=C_u, dt=dt)

@@ -119,6 +119,25 @@ def test_filter_and_smoother_agree_at_the_end(rng):
     assert np.abs(off / filtered.inputs_std[300:, 0]).max() < 5
 
 
+@pytest.mark.parametrize("kind", ["smoother", "filter"])
+def test_units_do_not_matter(rng, kind):
+    """Inputs in piconewtons and outputs in nanometres give the same estimate."""
+    y = outputs_of(piece(rng, 2000), 1e-4, rng)
+    small = StateSpace(SYSTEM.A, SYSTEM.B * 1e-12, SYSTEM.C, [[0.0]], 1e-4)
+    options = {"highest_hz": 50.0, "kalman_gain": GAIN, "kind": kind}
+    plain = estimate_input(SYSTEM, y, **options)
+    for model, outputs, factor in ((small, y, 1e12), (SYSTEM, 1e-9 * y, 1e-9)):
+        found = estimate_input(model, outputs, **options)
+        np.testing.assert_allclose(found.inputs / factor, plain.inputs, atol=1e-6)
+        np.testing.assert_allclose(found.inputs_std / factor, plain.inputs_std, rtol=1e-4)
+
+
+def test_no_motion_needs_no_input():
+    """Outputs of nothing but zeros."""
+    found = estimate_input(SYSTEM, np.zeros(500), highest_hz=200.0)
+    np.testing.assert_array_equal(found.inputs, 0)
+
+
 @pytest.mark.parametrize("sensors", ["acceleration", "displacement"])
 def test_two_forces_on_a_structure(rng, sensors):
     """Noise of unlike size on three sensors: weights from the residuals."""
@@ -149,6 +168,8 @@ def test_what_cannot_be_seen_is_refused(rng):
         estimate_input(one, y[:, 0], highest_hz=3.0, lowest_hz=0.5)
     with pytest.raises(DataError, match="cannot tell"):
         estimate_input(SYSTEM, y[:, 0], highest_hz=4900.0)
+    with pytest.raises(DataError, match="100 values cannot tell 400002 unknowns"):
+        estimate_input(SYSTEM, y[:, 0], highest_hz=200.0, period=1000.0)
 
 
 @pytest.mark.parametrize(
@@ -156,7 +177,11 @@ def test_what_cannot_be_seen_is_refused(rng):
     [
         ({"kind": "guess"}, "kind must be one of"),
         ({"kalman_gain": [[1.0]]}, "kalman_gain must have the shape"),
+        ({"kalman_gain": [[np.nan], [0.0]]}, "finite"),
         ({"noise_covariance": [[-1.0]]}, "positive definite"),
+        ({"noise_covariance": [[np.nan]]}, "positive definite"),
+        ({"lowest_hz": -1.0}, "lowest_hz must not be negative"),
+        ({"period": np.nan}, "period must be positive"),
         ({"outputs": np.ones((50, 2))}, r"\(n_samples, 1\)"),
         ({"outputs": Record(np.ones(50), dt=0.1)}, "they differ"),
         ({"model": StateSpace([[-1.0]], [[1.0]], [[1.0]], [[0.0]], None)}, "discrete"),

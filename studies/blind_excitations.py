@@ -74,6 +74,13 @@ def many_lines(rng: np.random.Generator, snr_db: float) -> vb.Record:
     ).record
 
 
+def white_forces(rng: np.random.Generator, snr_db: float) -> vb.Record:
+    """They reach the Nyquist frequency: above the modes all sensors show a floor that is force."""
+    force = rng.standard_normal((N, 3))
+    y = REFERENCE.simulate(force, DT, forces=REFERENCE.dofs).outputs
+    return vb.Record(y + y.std(axis=0) * 10 ** (-snr_db / 20) * rng.standard_normal(y.shape), dt=DT)
+
+
 def force_jump(rng: np.random.Generator, snr_db: float) -> vb.Record:
     """The forces' phases change in the middle, and the motion goes on from where it was."""
     model = REFERENCE.state_space(forces=REFERENCE.dofs)
@@ -131,6 +138,7 @@ BAD = {
     "rigid-body mode": rigid_body,
     "30 sines": thirty_sines,
     "400 lines": many_lines,
+    "white forces": white_forces,
     "force jump": force_jump,
     "2 sensors on 3 DOF": too_few_sensors,
 }

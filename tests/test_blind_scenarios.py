@@ -21,6 +21,7 @@ from studies.blind_records import (
 from vibrid.blind import identify_blind
 from vibrid.errors import OptionError
 from vibrid.excitation import coloured_noise
+from vibrid.structures import chain
 
 
 @pytest.mark.parametrize("name", BAD)
@@ -195,6 +196,27 @@ def test_input_at_a_frequency_of_the_structure(rng: np.random.Generator) -> None
     found = identify_blind(case.record, 3)
     assert found.accepted
     assert off(found.normalized_stiffness, case.stiffness) < 1e-8
+
+
+def test_what_cannot_be_tried_is_a_note() -> None:
+    """A clipped record has no quiet band for point forces; the refusal of the sines stands."""
+    rng = np.random.default_rng(1)
+    frame = chain([2.0, 1.5, 1.0], [600.0, 400.0, 300.0], damping_ratio=0.01)
+    case = under_sines(
+        frame,
+        HZ,
+        phasors(rng, 5),
+        dt=DT,
+        n_samples=2 * N,
+        start=displaced(rng),
+        snr_db=40.0,
+        rng=rng,
+    )
+    y = case.record.outputs
+    y = np.clip(y, *np.quantile(y, [0.02, 0.98]))
+    found = identify_blind(vb.Record(y, dt=DT), 3)
+    assert [each.rule for each in found.verdict.refusals] == ["R4"]
+    assert "could not be tried" in str(found.verdict.findings[-1])
 
 
 @pytest.mark.slow

@@ -8,7 +8,7 @@ from dataclasses import dataclass, fields, replace
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ..errors import OptionError, check_choice
+from ..errors import DataError, OptionError, check_choice
 from ..fit import Finding
 from ..physical import Topology
 from ..record import Record
@@ -219,13 +219,17 @@ class _Question:
         unexplained = any(each.rule == "R4" for each in found.verdict.refusals)
         if not unexplained or known.structure is not None:
             return found
-        tried = [("periodic", found)]
+        attempts, notes = [("periodic", found)], []
         if self.n_dof > 1:  # else no row is free of force
-            found = self._by_rows("point")
-            tried.append(("point", found))
+            try:
+                attempts.append(("point", self._by_rows("point")))
+            except DataError as error:
+                why = f"A force at some DOFs only could not be tried: {error}"
+                notes.append(Finding("untried_point", "note", why))
+        found = attempts[-1][1]
         if not found.accepted and known.force_band is not None and len(self.records) == 1:
-            found = self._outside_the_band()
-        return _after(found, [(name, each) for name, each in tried if each is not found])
+            attempts.append(("band", self._outside_the_band()))
+        return _with(_after(attempts[-1][1], attempts[:-1]), *notes)
 
     def _by_oscillations(self) -> BlindFit:
         return blind_likelihood(
@@ -301,13 +305,15 @@ def _doubted(found: BlindFit) -> BlindFit:
     if found.verdict.kind != "periodic" or not found.accepted:
         return found
     hertz = ", ".join(f"{each:.4g}" for each in found.input_frequencies_hz)
-    doubt = Finding(
-        "not_a_decay",
-        "doubt",
-        f"The record was said to be a decay, but holds motion that does not decay: {hertz} Hz.",
+    sentence = (
+        f"The record was said to be a decay, but holds motion that does not decay: {hertz} Hz."
     )
-    findings = (*found.verdict.findings, doubt)
-    return replace(found, verdict=replace(found.verdict, findings=findings))
+    return _with(found, Finding("not_a_decay", "doubt", sentence))
+
+
+def _with(found: BlindFit, *findings: Finding) -> BlindFit:
+    verdict = found.verdict
+    return replace(found, verdict=replace(verdict, findings=(*verdict.findings, *findings)))
 
 
 def _after(found: BlindFit, tried: Sequence[tuple[str, BlindFit]]) -> BlindFit:

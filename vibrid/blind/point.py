@@ -86,7 +86,8 @@ def blind_rows(
     sensors, signals = signals_of(records, n_dof, None)
     setting, base = sensors.setting, excitation == "base"
     check_names("DOF", ungrounded, setting.dofs)
-    spectra = spectra_of(signals.samples, signals.dt, sensors.powers, force_band)
+    # where the user says which rows are free, no force makes the floor of all sensors
+    spectra = spectra_of(signals.samples, signals.dt, sensors.powers, force_band, believed=base)
     rows = regress_rows(spectra)
     free = rows.free(base)
     refused = _refused(rows, spectra, free, base)

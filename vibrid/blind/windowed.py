@@ -24,6 +24,11 @@ FEWEST_CYCLES = 3  # in the record, of the lowest line used
 BLOCKS = 64  # of lines, over which powers are averaged to find the band
 QUIET = 4.0  # times the noise floor: below it a block of lines is noise
 QUIET_SHARE = 0.1  # of all lines that must be noise, to measure it
+LEVELS = (
+    (8, 0.15),
+    (16, 0.3),
+    (32, 0.5),
+)  # of so many lines, white noise is so low 1 in 5000 times
 ROUNDING = 1e-13  # of a channel's largest line
 
 
@@ -94,6 +99,8 @@ def spectra_of(
     dt: float,
     powers: NDArray[np.int64],
     band_hz: tuple[float, float] | None = None,
+    *,
+    believed: bool = False,
 ) -> Spectra:
     """Return the spectra in a band, and the noise above it.
 
@@ -105,6 +112,8 @@ def spectra_of(
         0, 1, 2 for sensors of displacement, velocity, acceleration.
     band_hz : (low, high), optional
         Of the lines to use; by default up to where all channels fall to a level floor.
+    believed : bool
+        Take that floor for the sensors' noise even where the band shows less.
 
     Raises
     ------
@@ -125,9 +134,9 @@ def spectra_of(
     above = [each[part.hertz > max(high, quiet)] for part, each in zip(parts, powered, strict=True)]
     quiet_powers = np.concatenate(above)
     noise = np.median(quiet_powers, axis=0) / np.log(2)
-    signal = np.max(
-        [each[part.inside].max(axis=0) for part, each in zip(parts, powered, strict=True)], axis=0
-    )
+    inside = [each[part.inside] for part, each in zip(parts, powered, strict=True)]
+    noise = noise if believed else _below_floors(noise, inside)
+    signal = np.max([each.max(axis=0) for each in inside], axis=0)
     return Spectra(
         np.concatenate([part.rates for part in parts]),
         np.concatenate(
@@ -140,6 +149,25 @@ def spectra_of(
         signal,
         len(quiet_powers),
     )
+
+
+def _below_floors(noise: Floats, powers: list[Floats]) -> Floats:
+    """Return the noise of channels (n_dof,), less where the band shows that a floor is none.
+
+    A force that reaches the Nyquist frequency makes a floor of its own above the modes; below
+    them the sensors show less than it. Where one channel does so, a higher floor of another is
+    not believed either.
+    """
+    levels = noise
+    for power in powers:
+        for count, share in LEVELS:
+            groups = len(power) // count
+            if groups:
+                whole = power[: groups * count].reshape(groups, count, len(noise))
+                lowest = whole.mean(axis=1).min(axis=0)
+                levels = np.where(lowest < share * noise, np.minimum(levels, lowest), levels)
+    seen = levels < noise
+    return np.minimum(levels, levels[seen].max()) if seen.any() else noise
 
 
 def _band(

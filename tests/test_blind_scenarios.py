@@ -153,6 +153,7 @@ def test_ambient_is_never_chosen(rng: np.random.Generator) -> None:
         ("decay", {"input_frequencies_hz": [1.0]}),
         ("periodic", {"ungrounded": ["f1"]}),
         ("ambient", {"ungrounded": ["f1"]}),
+        ("decay", {"input_frequencies_hz": [1.0], "method": "subspace"}),
     ],
 )
 def test_options_without_a_use_are_refused(excitation: str, options: dict[str, Any]) -> None:

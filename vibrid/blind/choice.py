@@ -40,6 +40,7 @@ HEEDED = {  # what each way has a use for, besides masses
     "measured forces": ("input_frequencies_hz", "hold"),
     "method='subspace'": ("input_frequencies_hz", "hold"),
     "method='subspace' and force_band": ("force_band",),
+    "method='subspace' and excitation='decay'": (),
 }
 TRIED = {"periodic": "A periodic force was", "point": "A force at some DOFs only was"}
 
@@ -200,15 +201,17 @@ class _Question:
         if known.force_band is not None and excitation == "auto":
             known.check_heeded("method='subspace' and force_band")
             return self._outside_the_band()
-        known.check_heeded("method='subspace'")
+        decay = excitation == "decay"
+        known.check_heeded("method='subspace'" + " and excitation='decay'" * decay)
         self._report("subspace")
-        return blind_subspace(
+        found = blind_subspace(
             record,
             self.n_dof,
             input_frequencies_hz=known.input_frequencies_hz,
             hold=known.hold,
             mass=self.mass,
         )
+        return _doubted(found) if decay else found
 
     def _automatically(self) -> BlindFit:
         """Try periodic forces and decays, then forces at some DOFs, then outside the modes."""

@@ -108,19 +108,35 @@ def test_process_noise_does_not_cost_the_better_estimator() -> None:
 def bench_test(seed: int) -> tuple[Structure, vb.Record]:
     """Return 3000 samples of a chain with 0.3 % damping, 5 % noise at the sensors."""
     rng = np.random.default_rng(seed)
-    frame = chain(np.ones(4), np.full(4, 800.0), damping_ratio=0.003)
+    frame = chain(np.ones(4), np.full(4, 16150.0), damping_ratio=0.003)
     force = white_noise(3000, 1, rng=rng)
-    return frame, frame.simulate(force, DT, forces=["f1"], noise=0.05, rng=rng)
+    return frame, frame.simulate(force, 0.01, forces=["f1"], noise=0.05, rng=rng)
 
 
-@pytest.mark.parametrize("rows", [20, 60])
-def test_bench_tests_reach_the_better_estimator(rows: int) -> None:
-    """The automatic transition is as good as the better of the two on every mode."""
+def damping_bound() -> Floats:
+    """Return the Cramér-Rao bound of the bench test's damping ratios, relative."""
+    frame, record = bench_test(0)
+    start = vb.identify(record, vb.N4SID(block_rows=60), order=8)
+    refined = vb.modes_of(vb.refine(start, record, noise="output_error"))
+    assert refined.damping_std is not None
+    return np.asarray(refined.damping_std / frame.damping_ratios)
+
+
+@pytest.mark.parametrize(
+    ("rows", "published"), [(20, [6, 3.2, 1.9, 1.7]), (60, [3.1, 1.6, 1.6, 1.6])]
+)
+def test_bench_tests_reach_the_better_estimator(rows: int, published: list[float]) -> None:
+    """The automatic transition is as good as the better of the two on every mode.
+
+    `published` is the rms error of the better estimator over the Cramér-Rao bound in an earlier
+    study of such a chain; 20 records tell it to two standard deviations of 16 %.
+    """
     errors = compared(bench_test, rows, 8, 20)
     rms = {name: np.sqrt(np.nanmean(np.square(each), axis=0)) for name, each in errors.items()}
     better = np.minimum(rms["regression"], rms["shift"])
-    assert (rms["auto"] < 1.2 * better + 0.01).all(), rms
-    assert (rms["auto"] < [0.1, 0.02, 0.01, 0.01]).all(), rms
+    assert (rms["auto"] < 1.2 * better + 0.002).all(), rms
+    ratios = rms["auto"] / damping_bound()
+    assert (ratios < 1.32 * np.array(published)).all(), ratios
 
 
 # -- closed loop

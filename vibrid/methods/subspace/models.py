@@ -30,7 +30,7 @@ from .feedback import Feedback, feedback_of
 from .layout import Layout
 from .states import NOISE_FREE
 
-PREPARED = (16, 64)  # states prepared together; larger orders prepare all there are
+PREPARED = (8, 16, 64)  # states prepared together; larger orders prepare all there are
 
 
 @dataclass(frozen=True, eq=False)

@@ -38,6 +38,11 @@ class Runs(NamedTuple):
             return sum(bool(row.get(hit)) for row in self.rows)
         return sum(bool(hit(row)) for row in self.rows)
 
+    def where(self, name: str) -> Runs:
+        """Return the runs in which a figure is true."""
+        kept = [row for row in self.rows if row.get(name)]
+        return Runs(kept, self.asked - len(self.rows) + len(kept))
+
     def __str__(self) -> str:
         done = len(self.rows)
         return str(done) if done == self.asked else f"{done} of {self.asked}"

@@ -143,8 +143,13 @@ def _shapes(look: Look) -> Iterator[Line]:
         runs, what = look(cell), f"chain of {n}, 40 dB"
         yield median_line("4", f"{what}: M⁻¹K", runs, "stiffness", 2e-2)
         yield median_line("4", f"{what}: M⁻¹D", runs, "damping", 2e-2)
-        real = f"{what}: real shapes taken"
-        yield share_line("4", real, runs, lambda row: row.get("shapes") == "real", least=0.95)
+        yield share_line("4", f"{what}: right poles", runs, "right")
+        yield share_line(
+            "4", f"{what}: wrong poles that are accepted", runs, _wrongly_accepted, most=0
+        )
+        # with a wrong pole there is no proportional damping to be recognized
+        real, right = f"{what}: real shapes taken, poles right", runs.where("right")
+        yield share_line("4", real, right, lambda row: row.get("shapes") == "real", least=0.95)
     what = "reference, 40 dB: real shapes rejected"
     yield share_line("4", what, look(SHAPES), lambda row: row.get("shapes") == "free", least=0.95)
 

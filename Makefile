@@ -5,7 +5,8 @@ PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 PINS := constraints.txt
-SHARED := --numprocesses auto --dist worksteal # a test process for each core; ARGS='-n 0' for one
+# a test process for each core; ARGS='-n 0' for one
+IN_PARALLEL := --numprocesses auto --dist worksteal
 # The second name pins what builds the package too; pip before 25.3 reads the first for that.
 PIP := PIP_CONSTRAINT=$(PINS) PIP_BUILD_CONSTRAINT=$(PINS) PIP_DISABLE_PIP_VERSION_CHECK=1 \
 	$(BIN)/python -m pip install --quiet
@@ -29,10 +30,10 @@ demo: $(VENV)/core.stamp
 	$(BIN)/vibrid demo $(if $(FILE),"$(FILE)") $(ARGS)
 
 test: $(VENV)/dev.stamp
-	$(BIN)/python -m pytest $(SHARED) $(ARGS)
+	$(BIN)/python -m pytest $(IN_PARALLEL) $(ARGS)
 
 slow: $(VENV)/dev.stamp
-	$(BIN)/python -m pytest -m slow $(SHARED) $(ARGS)
+	$(BIN)/python -m pytest -m slow $(IN_PARALLEL) $(ARGS)
 
 check: $(VENV)/dev.stamp
 	$(BIN)/ruff format --check .

@@ -86,10 +86,10 @@ ANSWERS = """
 |---|---|---|
 | periodic, forces measured | M⁻¹K, M⁻¹D, M⁻¹B | no transient and too few frequencies |
 | periodic, frequencies known or not | M⁻¹K, M⁻¹D, force | R1 to R7 |
-| free decay, or `force_free=` | M⁻¹K, M⁻¹D | R1 |
+| free decay, or `force_free=` | M⁻¹K, M⁻¹D | R1 to R7 |
 | any force at some DOFs (`point`) | free rows, where the forces act | no free row |
 | base motion not measured (`base`) | storeys above the first | k₁, always |
-| ambient, as the user says (`ambient`) | M⁻¹K | R6 |
+| ambient, as the user says (`ambient`) | M⁻¹K, M⁻¹D | R1, R2, R6, R7 |
 | on every DOF, modes outside `force_band=` | M⁻¹K, M⁻¹D, force | R1, a mode in the band |
 | in the band of the modes, on every DOF | – | always: it explains any M⁻¹K and M⁻¹D |
 """

@@ -1,7 +1,7 @@
 """Long studies run by run: every run is a line of a file, kept when the study is stopped.
 
-A line holds the key of its run and the state of the code that made it, so that a study goes on
-where it stopped, and never mixes what different code has found.
+A line holds the key of its run and the state of the code that a study is about (`CODE`), so that
+it goes on where it stopped, and never mixes what different states of that code have found.
 """
 
 from __future__ import annotations

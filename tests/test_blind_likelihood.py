@@ -14,7 +14,7 @@ from studies.blind_records import (
     reference,
     under_sines,
 )
-from vibrid.blind import blind_likelihood, identify_blind
+from vibrid.blind import blind_likelihood, forces, identify_blind
 from vibrid.blind.forces import seen_band
 from vibrid.blind.likelihood.components import Components, Signals, oscillations
 from vibrid.blind.likelihood.modal import swinging
@@ -200,6 +200,15 @@ def test_a_sine_that_may_hide_is_said() -> None:
     assert len(found.input_frequencies_hz) == 4
     said = next(each for each in found.verdict.findings if each.code == "hidden_sines")
     assert float(said.sentence.split("outside ")[1].split(" to")[0]) > 0.7
+
+
+def test_sines_that_would_be_seen_nowhere_are_doubted(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Where the band that is seen is empty, a doubt says so in words, not with NaN."""
+    monkeypatch.setattr(forces, "seen_band", lambda *given, **options: (np.nan, np.nan))
+    found = blind_likelihood(reference(6, 30).record, 3)
+    said = next(each for each in found.verdict.findings if each.code == "hidden_sines")
+    assert said.severity == "doubt" and "nowhere would one with 50 %" in said.sentence
+    assert "nan" not in said.sentence
 
 
 def test_the_seen_band_is_that_of_the_response() -> None:

@@ -17,6 +17,7 @@ from studies.blind_records import (
     under_sines,
 )
 from vibrid.blind import identify_blind
+from vibrid.blind.coordinates import check_independent
 from vibrid.blind.likelihood import blind_measured
 
 HZ = np.array(SINES_HZ)
@@ -187,3 +188,34 @@ def test_a_response_that_sines_do_not_explain_is_refused(rng: np.random.Generato
     found = blind_measured(record, 3, input_frequencies_hz=SINES_HZ)
     assert not found.accepted and found.verdict.rule == "R4"
     assert np.isnan(found.normalized_stiffness).all()
+
+
+def test_growth_is_refused_without_a_transient_too() -> None:
+    """The steady state alone is enough; an oscillation that grows in it still breaks R3."""
+    rng = np.random.default_rng(3)
+    hertz = np.array([0.5, 1.3, 2.2, 3.1, 4.2, 5.0])
+    phasors = np.zeros((3, 6), dtype=np.complex128)
+    phasors[2] = np.exp(1j * rng.uniform(0, 6, 6))
+    case = under_sines(
+        REFERENCE, hertz, phasors, dt=0.02, n_samples=1500, snr_db=60, rng=rng, inputs=True
+    )
+    steady = case.record.select(inputs=["u3"])
+    assert blind_measured(steady, 3, input_frequencies_hz=hertz).accepted
+    t = 0.02 * np.arange(1500)
+    growing = 0.01 * (np.exp(0.03 * t) * np.sin(2 * np.pi * 3.7 * t))[:, None]
+    record = vb.Record(steady.outputs + growing, steady.inputs, dt=0.02)
+    found = blind_measured(record, 3, input_frequencies_hz=hertz)
+    assert [each.rule for each in found.verdict.refusals] == ["R3"]
+
+
+def test_dependent_inputs_with_every_numpy(monkeypatch: pytest.MonkeyPatch) -> None:
+    """matrix_rank has no rtol before NumPy 2.0; the check of inputs does without it."""
+
+    def rank_of_1_26(A: np.ndarray, tol: float | None = None, hermitian: bool = False) -> int:
+        raise AssertionError("not needed")
+
+    monkeypatch.setattr(np.linalg, "matrix_rank", rank_of_1_26)
+    check_independent(np.eye(4)[:, :2])
+    for inputs in (np.ones((4, 2)), np.zeros((4, 1))):
+        with pytest.raises(vb.OptionError, match="not independent"):
+            check_independent(inputs)

@@ -201,8 +201,9 @@ def test_forces_everywhere_are_refused(rng: np.random.Generator) -> None:
         assert not found.accepted
         assert np.isnan(found.normalized_stiffness).all()
         assert np.isnan(found.normalized_damping).all()
-    assert "explains the record for any" in str(found.verdict)
-    assert found.verdict.rule == "in_band"
+        assert found.verdict.rule == ("R4" if excitation == "periodic" else "in_band")
+        said = "explains the record for any" in str(found.verdict)
+        assert said is (excitation != "periodic")
 
 
 def test_ground_spring_under_base_motion_is_never_a_number(rng: np.random.Generator) -> None:
@@ -258,3 +259,30 @@ def test_frame_with_the_table_hidden(shared_data: Path) -> None:
     assert np.isnan(found.normalized_damping).all()  # the top sensor lags by 2 ms
     lag = next(f for f in found.verdict.findings if f.code == "asymmetric_damping")
     assert "sensor at floor3 lagged" in lag.sentence
+
+
+def test_a_band_of_few_lines() -> None:
+    """Ten seconds and half a hertz hold fewer lines than powers are averaged over."""
+    rng = np.random.default_rng(1)
+    case = under_noise(uniform_chain(2), [1], duration=10.0, snr_db=50, rng=rng)
+    found = identify_blind(
+        case.record,
+        2,
+        excitation="point",
+        force_band=(0.9, 1.5),
+        mass=np.ones(2),
+        ungrounded=["f2"],
+    )
+    assert found.accepted and found.forced_dofs == ("f2",)
+    assert found.normalized_force.shape == (1000, 2)
+
+
+def test_a_floor_above_the_band_that_is_no_noise(rng: np.random.Generator) -> None:
+    """Noise that rises with frequency: the rows leave less than it, and the refusal says so."""
+    case = under_noise(uniform_chain(3), [2], duration=30.0, snr_db=None, rng=rng)
+    y = np.asarray(case.record.outputs)
+    rising = 0.01 * y.std() * np.diff(rng.standard_normal((len(y) + 1, 3)), axis=0)
+    found = identify_blind(vb.Record(y + rising, dt=0.01), 3, excitation="point")
+    assert not found.accepted and found.diagnostics.figures["row_misfits"].min() < 0.5
+    assert "not the sensors' noise" in str(found.verdict)
+    assert "Several relations" not in str(found.verdict)

@@ -172,8 +172,18 @@ def test_nothing_at_all_is_refused() -> None:
 def test_options_may_be_arrays() -> None:
     """Frequencies, bands and stretches from numpy."""
     record = reference(0, 60).record
-    found = identify_blind(record, 3, input_frequencies_hz=HZ, force_free=None)
-    assert found.accepted
+    assert identify_blind(record, 3, input_frequencies_hz=HZ).accepted
+    decay = under_sines(
+        REFERENCE,
+        np.array([1.0]),
+        np.zeros((3, 1), dtype=np.complex128),
+        dt=DT,
+        n_samples=N,
+        start=np.array([0.1, -0.05, 0.08, 0, 0, 0]),
+        snr_db=60.0,
+        rng=np.random.default_rng(0),
+    )
+    assert identify_blind(decay.record, 3, force_free=np.array([0.1, 20.0])).accepted
     assert not identify_blind(record, 3, excitation="point", force_band=np.array([0.3, 8])).accepted
 
 
@@ -245,3 +255,39 @@ def test_good_cases_are_answered(offset: float, snr_db: float) -> None:
             error = np.linalg.norm(found.normalized_stiffness - case.stiffness)
             assert error < 4 * np.linalg.norm(found.normalized_stiffness_std)
     assert accepted >= 9
+
+
+def test_modes_outside_the_band_take_one_record() -> None:
+    """With several records, or too short a one, the third way is left out, and that is said."""
+    rng = np.random.default_rng(0)
+    case = under_noise(
+        REFERENCE, [0, 1, 2], duration=16.0, snr_db=60, rng=rng, band_hz=(6.0, 10.0), dt=DT
+    )
+    wide = (0.5, 20.0)  # more lines than a short record bears
+    for data, band, why in (
+        ([case.record, case.record], (5.9, 10.1), "one record"),
+        (case.record.slice(0, 400), wide, "too few"),
+    ):
+        found = identify_blind(data, 3, force_band=band)
+        assert not found.accepted
+        said = [each.sentence for each in found.verdict.findings if each.code == "untried_band"]
+        assert len(said) == 1 and why in said[0]
+
+
+@pytest.mark.parametrize("method", ["ml", "subspace"])
+@pytest.mark.parametrize(
+    ("given", "why"),
+    [
+        (1.0, "list of numbers"),
+        ([30.0], "Nyquist frequency 25 Hz; got 30"),
+        ([np.nan], "got nan"),
+        ([1.0, 1.0], "twice"),
+    ],
+)
+def test_frequencies_that_do_not_fit(method: str, given: Any, why: str) -> None:
+    """Both methods, and measured forces, refuse the same frequencies in the same words."""
+    record = reference(0, 60).record
+    forced = vb.Record(record.outputs, record.outputs[:, :1], dt=DT)
+    for each in (record, forced):
+        with pytest.raises(OptionError, match=why):
+            identify_blind(each, 3, method=method, input_frequencies_hz=given)

@@ -12,7 +12,7 @@ from scipy import signal
 
 from vibrid import DataError, OptionError, Record
 from vibrid.chunks import Stream, open_stream
-from vibrid.gram import factorize, lagged_sums, reduce, stacked_qr, triangle_of
+from vibrid.gram import factorize, reduce, stacked_qr, triangle_of
 from vibrid.gram.factor import _streamed_qr
 
 Floats = NDArray[np.float64]
@@ -97,14 +97,42 @@ def test_chunks_make_no_difference(
     np.testing.assert_allclose(pieces, whole, atol=ROUNDING * abs(whole).max())
 
 
+@pytest.mark.parametrize("direct", [0, 10**9])
 @pytest.mark.parametrize("n_lags", [1, 2, 17, 200])
 @pytest.mark.parametrize("n_samples", [200, 201, 5000])
-def test_lagged_sums_against_a_loop(rng: np.random.Generator, n_lags: int, n_samples: int) -> None:
-    """The overlap-save transform equals the plain sums for any length."""
-    z = rng.standard_normal((n_samples, 2))
-    columns = n_samples - n_lags + 1
-    loop = np.stack([z[:columns].T @ z[lag : lag + columns] for lag in range(n_lags)])
-    np.testing.assert_allclose(lagged_sums(z, n_lags), loop, atol=ROUNDING * n_samples)
+def test_lagged_sums_against_a_loop(
+    rng: np.random.Generator,
+    monkeypatch: pytest.MonkeyPatch,
+    n_samples: int,
+    n_lags: int,
+    direct: int,
+) -> None:
+    """Products and transforms equal the plain sums for any length, block by block."""
+    monkeypatch.setattr("vibrid.gram.reduction.DIRECT_LIMIT", direct)
+    monkeypatch.setattr("vibrid.record.signals.CHUNK_BYTES", 1)  # several chunks
+    stream = open_stream(Record(rng.standard_normal((n_samples, 2)), dt=1.0))
+    gram = reduce(stream, n_lags)
+    z, first = stream.read(stream.segments[0], 0, n_samples), 0
+    for columns, lags, sums in zip(gram.columns, gram.lags, gram.sums, strict=True):
+        own = z[first : first + columns]
+        loop = np.stack([own.T @ z[first + lag :][:columns] for lag in range(n_lags)])
+        np.testing.assert_allclose(lags, loop, atol=ROUNDING * n_samples)
+        np.testing.assert_allclose(sums, own.sum(axis=0), atol=ROUNDING * n_samples)
+        first += columns
+    assert first == n_samples - n_lags + 1
+
+
+@pytest.mark.parametrize("offset", ["estimate", "none"])
+@pytest.mark.parametrize("amplitude", [3.7, 1.0, 0.123])
+def test_rounding_of_transforms_is_no_signal(
+    rng: np.random.Generator, offset: str, amplitude: float
+) -> None:
+    """A force that acts in the first sample alone leaves the later rows empty, exactly."""
+    u = np.zeros((12_000, 1))
+    u[0] = amplitude
+    gram = reduce(open_stream(Record(rng.standard_normal((12_000, 7)), u, dt=1.0), offset), 40)
+    force = np.diag(gram.matrix())[::8]
+    assert force[0] > 0 and not force[1:].any()
 
 
 @pytest.mark.parametrize("limit", [0, 10**9])

@@ -33,6 +33,17 @@ class Stream:
 
     Scaling by powers of two is exact; the centre is a rough mean that keeps the sums
     well conditioned (and is zero for offset "none").
+
+    Attributes
+    ----------
+    records : tuple of Record
+    segments : tuple of Segment
+        Pieces without gaps, in order.
+    centre, scale : array (c,)
+        z = (measured − centre) / scale, c = n_inputs + n_outputs, in the channels' units.
+    deviation : array (c,)
+        Standard deviation of each channel over all segments, in its unit.
+    offset : "estimate", "mean" or "none"
     """
 
     records: tuple[Record, ...]
@@ -81,7 +92,7 @@ class Stream:
         """Return samples [start, stop) of a segment, centred and scaled (rows, channels)."""
         rows = self.records[segment.record].read(segment.start + start, segment.start + stop)
         scaled = np.subtract(rows, self.centre, order="C")  # whatever order the record has
-        scaled /= self.scale
+        scaled *= 1 / self.scale  # exact for powers of two, and faster than to divide
         return np.asarray(scaled)
 
     def chunks(self, segment: Segment, rows: int | None = None) -> Iterator[tuple[int, Floats]]:
@@ -93,9 +104,11 @@ class Stream:
 
 def as_records(data: Record | Sequence[Record]) -> tuple[Record, ...]:
     """Return one or several records as a tuple, checked to belong together."""
-    if not isinstance(data, Record | Iterable):
+    if isinstance(data, Record):
+        return (data,)
+    if not isinstance(data, Iterable):
         raise OptionError(f"Expected a Record or several; got {type(data).__name__}.")
-    records = (data,) if isinstance(data, Record) else tuple(data)
+    records = tuple(data)
     if not records:
         raise OptionError("No record was given; give at least one.")
     first = records[0]
@@ -167,11 +180,8 @@ def _surveyed(records: Sequence[Record]) -> tuple[tuple[Segment, ...], Floats, F
 
 
 def _refuse_constant(channels: Sequence[Channel], mean: Floats, std: Floats) -> None:
-    flat = [
-        channel.name
-        for channel, m, s in zip(channels, mean, std, strict=True)
-        if s <= CONSTANT_LIMIT * abs(m) or s == 0
-    ]
+    still = (std <= CONSTANT_LIMIT * np.abs(mean)) | (std == 0)
+    flat = [channels[int(k)].name for k in np.flatnonzero(still)]
     if flat:
         names = ", ".join(flat[:6]) + (" …" if len(flat) > 6 else "")
         raise DataError(

@@ -11,7 +11,7 @@ from .record import Floats
 STABLE_TO = 1 + 1e-7
 DETECTABLE = 1 - 1e-10  # spectral radius that a usable predictor stays below
 DOUBLINGS = 60
-SETTLED = 1e-15  # last step of the doubling, relative
+SETTLED = 1e-9  # last step of the doubling, relative: the next would be its square
 GRID = 513  # angles at which a spectrum is looked at, the poles' own beside
 RAISES = 20  # steps of raising Λ(0) before giving up
 RAISE_FACTOR = 1.25
@@ -76,9 +76,10 @@ def state_error_covariance(
     with np.errstate(over="ignore", invalid="ignore"):  # where there is no P
         for _ in range(DOUBLINGS):
             both = np.linalg.solve(np.eye(n) + G @ H, np.hstack([F, G]))
-            step = F.T @ H @ both[:, :n]
-            G = G + F @ both[:, n:] @ F.T
-            H, F = H + (step + step.T) / 2, F @ both[:, :n]
+            step = F.T @ (H @ both[:, :n])
+            after = F @ both
+            G = G + after[:, n:] @ F.T
+            H, F = H + (step + step.T) / 2, after[:, :n]
             if not np.isfinite(H).all():
                 break
             if np.abs(step).max() <= SETTLED * np.abs(H).max():

@@ -57,6 +57,8 @@ def one_blas_thread() -> _OneThread:
 
 def triangle(matrix: Floats) -> Floats:
     """Return the upper triangle R of the QR factorization, (min(rows, columns), columns)."""
+    if not matrix.size:
+        return np.zeros((min(matrix.shape), matrix.shape[1]))
     room = QR_ROOM * matrix.shape[1]
     return np.triu(sla.lapack.dgeqrf(matrix, lwork=max(1, room))[0][: min(matrix.shape)])
 

@@ -30,6 +30,8 @@ ROOM = 4  # times the samples that block rows need at least
 SURPLUS = 4  # states a DOF: at the least order the damping is biased
 OFTEN = 0.5  # of the larger orders that a mode must appear in
 NEAR = 0.1  # of a frequency: a mode of a part of the record further off is another one
+WHITE = "broadband forces act on every degree of freedom (nothing in the record tells it)"
+REAL = "real shapes (proportional damping), on which M⁻¹D rests"
 
 
 @dataclass(frozen=True, eq=False)
@@ -112,13 +114,13 @@ def _half_a_period(record: Record, n_dof: int) -> SSI:
 
     A longer horizon than needed costs certainty, a shorter one bends the lowest mode.
     """
-    longest = min(LONGEST, record.n_samples // (ROOM * (n_dof + 1)))
-    method = SSI(kind="covariance", block_rows=max(longest, 2))
+    longest = max(2, min(LONGEST, record.n_samples // (ROOM * (n_dof + 1))))
+    method = SSI(kind="covariance", block_rows=longest)
     seen = _steady(scan_orders(method, method.decompose(record)), n_dof)
     if seen is None:
         return method
     wanted = HORIZON / (seen[1].frequencies_hz.min() * record.dt)
-    return SSI(kind="covariance", block_rows=max(SHORTEST, min(int(np.ceil(wanted)), longest)))
+    return SSI(kind="covariance", block_rows=min(longest, max(SHORTEST, int(np.ceil(wanted)))))
 
 
 def _with_surplus(
@@ -194,10 +196,6 @@ def _nearest(wanted: Modes, found: Modes) -> Modes | None:
     return found.select(chosen)
 
 
-WHITE = "broadband forces act on every degree of freedom (nothing in the record tells it)"
-REAL = "real shapes (proportional damping), on which M⁻¹D rests"
-
-
 def _assumed(shapes: str) -> tuple[str, ...]:
     return (WHITE,) if shapes == "free" else (WHITE, REAL)
 
@@ -237,8 +235,7 @@ def _answer(
 ) -> BlindFit:
     n = len(P)
     known = _lost(P) if covariance is None else refusals.of_deviations(P, covariance)
-    checks, refused = refusals.together(refusals.of_matrices(P, 1.0), known)
-    checks = {name: value for name, value in checks.items() if name != "condition"}
+    checks, refused = refusals.together(refusals.of_stiffness(P), known)
     damping = checks.get("damping_deviation", np.inf) <= refusals.DAMPING
     verdict = BlindVerdict(
         "ambient",

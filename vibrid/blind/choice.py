@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields, replace
 
 import numpy as np
@@ -16,6 +16,7 @@ from ..statespace import HOLDS
 from .ambient import blind_ambient
 from .finite_signal import blind_finite_signal
 from .likelihood import blind_likelihood, blind_measured
+from .likelihood.data import records_of
 from .likelihood.search import Progress
 from .point import blind_rows
 from .result import BlindFit
@@ -43,6 +44,10 @@ HEEDED = {  # what each way has a use for, besides masses
     "method='subspace' and excitation='decay'": (),
 }
 TRIED = {"periodic": "A periodic force was", "point": "A force at some DOFs only was"}
+UNTRIED = {
+    "point": "A force at some DOFs only could not be tried",
+    "band": "Modes outside force_band could not be tried",
+}
 
 
 def identify_blind(
@@ -121,9 +126,7 @@ def identify_blind(
     check_choice("excitation", excitation, EXCITATIONS)
     check_choice("method", method, METHODS)
     check_choice("hold", hold, HOLDS)
-    records = [data] if isinstance(data, Record) else list(data)
-    if not records:
-        raise OptionError("data is empty; give a Record or several.")
+    records = records_of(data)
     if force_free is not None:
         _check_free(excitation, force_band)
         records, excitation = [each.between(*force_free) for each in records], "decay"
@@ -222,16 +225,19 @@ class _Question:
         unexplained = any(each.rule == "R4" for each in found.verdict.refusals)
         if not unexplained or known.structure is not None:
             return found
-        attempts, notes = [("periodic", found)], []
+        further: dict[str, Callable[[], BlindFit]] = {}
         if self.n_dof > 1:  # else no row is free of force
+            further["point"] = lambda: self._by_rows("point")
+        if known.force_band is not None:
+            further["band"] = self._outside_the_band
+        attempts, notes = [("periodic", found)], []
+        for name, attempt in further.items():
             try:
-                attempts.append(("point", self._by_rows("point")))
+                attempts.append((name, attempt()))
             except DataError as error:
-                why = f"A force at some DOFs only could not be tried: {error}"
-                notes.append(Finding("untried_point", "note", why))
-        found = attempts[-1][1]
-        if not found.accepted and known.force_band is not None and len(self.records) == 1:
-            attempts.append(("band", self._outside_the_band()))
+                notes.append(Finding(f"untried_{name}", "note", f"{UNTRIED[name]}: {error}"))
+            if attempts[-1][1].accepted:
+                break
         return _with(_after(attempts[-1][1], attempts[:-1]), *notes)
 
     def _by_oscillations(self) -> BlindFit:
@@ -279,6 +285,8 @@ class _Question:
         )
 
     def _outside_the_band(self) -> BlindFit:
+        if len(self.records) > 1:
+            raise DataError(f"this way takes one record; got {len(self.records)}.")
         self._report("subspace")
         return blind_finite_signal(
             self.records[0], self.n_dof, force_band=self.known.force_band, mass=self.mass

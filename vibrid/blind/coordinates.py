@@ -61,6 +61,12 @@ def normalized_system(stiffness: ArrayLike, damping: ArrayLike, powers: Powers) 
     return mechanical_state_space(np.eye(len(K)), damping, K, sensors=sensors, forces=range(len(K)))
 
 
+def dynamic_stiffness(P: Floats, rates: Floats) -> Complexes:
+    """Return s² I + s 𝒟 + 𝒦 (n_rates, n, n) of P = [𝒦 𝒟] at s = iω, ω the rates [rad/s]."""
+    n, s = len(P), 1j * rates[:, None, None]
+    return np.asarray(s**2 * np.eye(n) + s * P[:, n:] + P[:, :n])
+
+
 def periodic_force(
     stiffness: Floats,
     damping: Floats,
@@ -117,7 +123,8 @@ def input_matrix(force: Floats, inputs: Floats) -> Floats:
 def check_independent(inputs: Floats) -> None:
     """Refuse inputs (columns) of which one is zero or follows from the others."""
     size = np.linalg.norm(inputs, axis=0)
-    rank = np.linalg.matrix_rank(inputs / np.where(size > 0, size, 1), rtol=DEPENDENT)
+    values = np.linalg.svd(inputs / np.where(size > 0, size, 1), compute_uv=False)
+    rank = int((values > DEPENDENT * values.max(initial=0)).sum())
     if rank < inputs.shape[1]:
         raise OptionError(
             f"The {inputs.shape[1]} inputs are not independent (rank {rank}); ℬ cannot be told. "

@@ -9,13 +9,38 @@ from numpy.typing import NDArray
 
 from ..modes import Complexes
 from ..record import Floats
-from .coordinates import periodic_force
+from .coordinates import dynamic_stiffness, periodic_force
 from .windowed import windowed_motions
 
 DIFFERENCE = 1e-5  # relative step of derivatives by [𝒦 𝒟]
 NOISY = 0.2  # share of the force's power that noise may have
 RISING = 10.0  # towards low frequency, of a power that is a window's leakage
+KNOWN_FORCE = 0.5  # of a force's size: a larger error leaves nothing to be shown
 SMOOTHING = 9  # lines over which powers are averaged
+
+
+@dataclass(frozen=True, eq=False)
+class PeriodicForce:
+    """M⁻¹f of a sum of sines.
+
+    Attributes
+    ----------
+    phasors : complex array (…, n_dof, n_frequencies)
+    history : array (n_samples, n_dof)
+        Of all records, one after the other.
+    deviations : array (n_dof,)
+        Root mean square of its expected error.
+    """
+
+    phasors: Complexes
+    history: Floats
+    deviations: Floats
+
+    @property
+    def known(self) -> bool:
+        """Whether the errors leave something to be shown; no force at all is known too."""
+        size = np.sqrt(np.mean(self.history**2, axis=0)).max()
+        return not self.phasors.size or bool((self.deviations < KNOWN_FORCE * size).all())
 
 
 def phasor_deviations(
@@ -90,10 +115,7 @@ def seen_band(
 
 def _gains(P: Floats, rates: Floats, powers: NDArray[np.int64]) -> Complexes:
     """Return what turns the sensors' phasors into M⁻¹f (n_frequencies, n, n)."""
-    n = len(P)
-    s = (1j * rates)[:, None, None]
-    stiffness = s**2 * np.eye(n) + s * P[:, n:] + P[:, :n]
-    return np.asarray(stiffness / s ** powers[None, None, :])
+    return np.asarray(dynamic_stiffness(P, rates) / (1j * rates[:, None, None]) ** powers)
 
 
 @dataclass(frozen=True, eq=False)
@@ -156,8 +178,7 @@ def inverse_force(
     constant = spectra.window[:, None] / turn  # what the mean, taken out of the motion, leaves
     share = (constant.conj() * found).real.sum(axis=0) / (np.abs(constant) ** 2).sum()
     found = found - constant * share
-    s = 1j * rates[:, None, None]
-    gains = s**2 * np.eye(n) + s * P[:, n:] + P[:, :n]
+    gains = dynamic_stiffness(P, rates)
     levels = rates[:, None] ** (2.0 * raised) * noise
     disturbed = np.einsum("fij,fj->fi", np.abs(gains) ** 2, levels) / np.abs(turn) ** 2
     kept = np.zeros(found.shape, dtype=bool)
@@ -183,7 +204,8 @@ def _first_line(power: Floats, disturbed: Floats, weight: Floats) -> int:
     Towards low frequency both rise; the force's strongest line is sought where its weighted
     power, that of its derivative as measured, is largest.
     """
-    kernel = np.ones(SMOOTHING) / SMOOTHING
+    length = min(SMOOTHING, len(power))
+    kernel = np.ones(length) / length
     smooth, noise = (np.convolve(each, kernel, mode="same") for each in (power, disturbed))
     clear = noise < NOISY * smooth
     if not clear.any():

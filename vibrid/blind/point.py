@@ -18,7 +18,7 @@ from .forces import InverseForce, inverse_force
 from .likelihood.data import signals_of
 from .result import BlindFit, BlindVerdict, Refusal, Setting, blind_fit, modes_from
 from .sensors import Sensors
-from .weak_rows import SINGLE, Rows, regress_rows
+from .weak_rows import SINGLE, TOO_QUIET, Rows, regress_rows
 from .windowed import Spectra, spectra_of, window_energy
 
 PLACES = ("point", "base")
@@ -82,8 +82,7 @@ def blind_rows(
     be lumped: with others a force at one DOF is felt in several rows, and none is free.
     """
     check_choice("excitation", excitation, PLACES)
-    records = [data] if isinstance(data, Record) else list(data)
-    sensors, signals = signals_of(records, n_dof, None)
+    sensors, signals = signals_of(data, n_dof, None)
     setting, base = sensors.setting, excitation == "base"
     check_names("DOF", ungrounded, setting.dofs)
     # where the user says which rows are free, no force makes the floor of all sensors
@@ -184,7 +183,14 @@ def _refused(
             "ones."
         )
         cure = "Excite the modes themselves; for a decay use excitation='decay'."
-    elif rows.misfits.min() < rows.limit:
+    elif rows.too_quiet:
+        sentence = (
+            f"What the rows leave {band} is less than the noise read above it (χ² per degree of "
+            f"freedom {shown}, and {TOO_QUIET:g} is the least): the floor there is not the "
+            "sensors' noise, and without it free rows cannot be told from forced ones."
+        )
+        cure = "Give force_band=, above which the sensors show nothing but noise, or sample faster."
+    elif rows.ambiguous.any():
         sentence = (
             f"Several relations between the sensors hold equally well {band}, so that none is "
             f"known to be the structure's (the second best leaves {max(rows.seconds.min(), 0):.3g} "

@@ -1,11 +1,11 @@
-"""Rules R1 to R8: when oscillations in a record do not determine a structure.
+"""Rules R1 to R7: when oscillations in a record do not determine a structure.
 
 Each function returns what it looked at and, where the rule is broken, a `Refusal`.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
@@ -78,7 +78,7 @@ def of_certainty(certainty: Floats, n_dof: int) -> Judged:
     return checks, refused
 
 
-def of_errors(errors: Iterable[Floats], dt: float, band_hz: tuple[float, float]) -> Judged:
+def of_errors(errors: Sequence[Floats], dt: float, band_hz: tuple[float, float]) -> Judged:
     """R4: errors (n_samples, n_dof), whitened, are as small inside the band as outside."""
     inside, outside, lines = 0.0, 0.0, np.zeros(2)
     for each in errors:
@@ -88,12 +88,11 @@ def of_errors(errors: Iterable[Floats], dt: float, band_hz: tuple[float, float])
         beyond = hertz > OUTSIDE * band_hz[1]
         inside, outside = inside + power[within].sum(), outside + power[beyond].sum()
         lines += within.sum(), beyond.sum()
-        n_dof = each.shape[1]
     if lines[0] < 1 or lines[1] < FEWEST_LINES:
         return {}, []
     ratio = float((inside / lines[0]) / (outside / lines[1]))
     checks = {"in_band_ratio": ratio}
-    limit = max(IN_BAND, 1 + SPREAD / np.sqrt(lines[0] * n_dof))
+    limit = max(IN_BAND, 1 + SPREAD / np.sqrt(lines[0] * errors[0].shape[1]))
     if ratio <= limit:
         return checks, []
     sentence = (
@@ -141,22 +140,6 @@ def relative_deviations(P: Floats, covariance: Floats) -> dict[str, float]:
     }
 
 
-def of_matrices(P: Floats, condition: float) -> Judged:
-    """R7: eigenvalues of 𝒦 have positive real parts, and its equations are well conditioned."""
-    smallest = float(np.linalg.eigvals(P[:, : len(P)]).real.min())
-    checks, refused = of_condition(condition)
-    checks["smallest_eigenvalue"] = smallest
-    if smallest <= 0:
-        sentence = (
-            f"M⁻¹K has an eigenvalue with the real part {smallest:.3g}; a structure has positive "
-            "ones."
-        )
-        cure = "Check signs and DOFs of the channels."
-        figures = {"smallest_eigenvalue": smallest, "limit": 0.0}
-        refused.append(Refusal("R7", sentence, cure, figures))
-    return checks, refused
-
-
 def of_condition(condition: float) -> Judged:
     """R7: the equations of 𝒦, those of poles and shapes, are well conditioned."""
     checks = {"condition": condition}
@@ -168,6 +151,20 @@ def of_condition(condition: float) -> Judged:
     )
     cure = "Put the sensors where the shapes differ."
     return checks, [Refusal("R7", sentence, cure, {"condition": condition, "limit": CONDITION})]
+
+
+def of_stiffness(P: Floats) -> Judged:
+    """R7: eigenvalues of 𝒦, of P = [𝒦 𝒟], have positive real parts."""
+    smallest = float(np.linalg.eigvals(P[:, : len(P)]).real.min())
+    checks = {"smallest_eigenvalue": smallest}
+    if smallest > 0:
+        return checks, []
+    sentence = (
+        f"M⁻¹K has an eigenvalue with the real part {smallest:.3g}; a structure has positive ones."
+    )
+    cure = "Check signs and DOFs of the channels."
+    figures = {"smallest_eigenvalue": smallest, "limit": 0.0}
+    return checks, [Refusal("R7", sentence, cure, figures)]
 
 
 def together(*judged: Judged) -> tuple[Mapping[str, float], tuple[Refusal, ...]]:

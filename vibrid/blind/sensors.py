@@ -111,10 +111,11 @@ def forces_of(record: Record) -> Floats:
 
 
 def _check_gaps(record: Record) -> None:
-    if record.segments() != ((0, record.n_samples),):
+    segments = record.segments()
+    if segments != ((0, record.n_samples),):
         raise DataError(
             "The record has missing samples; take a piece without gaps with slice(start, stop): "
-            + ", ".join(f"{start} to {stop}" for start, stop in record.segments()[:5])
+            + ", ".join(f"{start} to {stop}" for start, stop in segments[:5])
             + "."
         )
 

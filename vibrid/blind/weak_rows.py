@@ -87,6 +87,17 @@ class Rows:
             return ~free
         return np.asarray(~free & (self.misfits > max(FORCED, self.limit)))
 
+    @property
+    def ambiguous(self) -> NDArray[np.bool_]:
+        """Which rows leave no more than the noise, but so does another relation."""
+        return np.asarray((self.misfits < self.limit) & (self.seconds <= SINGLE))
+
+    @property
+    def too_quiet(self) -> bool:
+        """Whether rows leave less than the noise, and nothing else speaks against them."""
+        quiet = self.misfits < TOO_QUIET
+        return bool(quiet.all() or (quiet.any() and not self.ambiguous.any()))
+
     def _below_gap(self, ratio: float, largest: float) -> NDArray[np.bool_]:
         """Return the rows below the widest gap of χ², none where it is narrow."""
         ranked = np.sort(self.misfits)

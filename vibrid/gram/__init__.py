@@ -2,14 +2,13 @@
 
 from .blocks import BlockGram
 from .factor import PIVOT_LIMIT, Factor, factorize, scaled_cholesky, stacked_qr, triangle_of
-from .reduction import lagged_sums, reduce
+from .reduction import reduce
 
 __all__ = [
     "PIVOT_LIMIT",
     "BlockGram",
     "Factor",
     "factorize",
-    "lagged_sums",
     "reduce",
     "scaled_cholesky",
     "stacked_qr",

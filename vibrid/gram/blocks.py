@@ -11,7 +11,7 @@ from ..chunks import Segment
 from ..errors import OptionError, check_whole
 from ..record import Floats
 
-CONSTANT_SHARE = 1e-13  # of a row's square sum: what rounding leaves of a constant row
+ROUNDING_SHARE = 1e-13  # of a channel's largest square sum: what rounding leaves of no motion
 
 
 @dataclass(frozen=True, eq=False)
@@ -126,17 +126,19 @@ class BlockGram:
     def matrix(self) -> Floats:
         """Return the Gram (n_rows · c, n_rows · c), rows ordered by lag, then channel.
 
-        A row that is constant but for rounding in every segment comes out as exact zeros.
+        A row that holds nothing but a constant, or but rounding beside the channel's largest
+        row (a force that acts once, before the row begins), comes out as exact zeros.
         """
         upper = self._expanded()
+        own = np.diag(upper).reshape(self.n_rows, self.n_channels)
+        size = np.tile(own.max(axis=0), self.n_rows)
         if self.offset == "estimate":
-            before = np.diag(upper).copy()
             rows = self._row_sums()
             upper -= (rows / self._lengths[:, None]).T @ rows
-            still = np.diag(upper) < CONSTANT_SHARE * before
-            if still.any():
-                upper[still, :] = 0
-                upper[:, still] = 0
+        still = np.diag(upper) <= ROUNDING_SHARE * size
+        if still.any():
+            upper[still, :] = 0
+            upper[:, still] = 0
         lower = np.tri(len(upper), k=-1, dtype=bool)
         return np.asarray(np.where(lower, upper.T, upper))
 
@@ -155,6 +157,7 @@ class BlockGram:
         """The first block of each used segment; its blocks follow each other."""
         return np.searchsorted(self.owners, self._used)
 
+    @cached_property
     def _edges(self) -> tuple[Floats, Floats]:
         """Return first and last samples of each used segment (n_used, (n_rows − 1) · c).
 
@@ -167,7 +170,7 @@ class BlockGram:
     def _row_sums(self) -> Floats:
         """Return the sum of every Hankel row over each used segment (n_used, n_rows · c)."""
         c, used = self.n_channels, len(self._used)
-        head, tail = self._edges()
+        head, tail = self._edges
         first = np.add.reduceat(self.sums, self._starts, axis=0)
         steps = (tail - head).reshape(used, self.n_rows - 1, c)
         later = first[:, None, :] + np.cumsum(steps, axis=1)
@@ -179,7 +182,7 @@ class BlockGram:
         What is below the diagonal is not meant.
         """
         c, n = self.n_channels, self.n_rows
-        head, tail = self._edges()
+        head, tail = self._edges
         gram = np.zeros((n * c, n * c))
         gram[:c] = self.lags.sum(axis=0).transpose(1, 0, 2).reshape(c, n * c)
         gram[c:, c:] = tail.T @ tail

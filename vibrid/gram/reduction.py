@@ -63,24 +63,6 @@ def reduce(stream: Stream, n_rows: int) -> BlockGram:
     )
 
 
-def lagged_sums(z: Floats, n_lags: int) -> Floats:
-    """Return R[l] = Σ_t z(t) z(t+l)ᵀ for l < n_lags over t < len(z) − n_lags + 1.
-
-    Parameters
-    ----------
-    z : array (n_samples, c)
-    n_lags : int
-
-    Returns
-    -------
-    array (n_lags, c, c)
-    """
-    columns = len(z) - n_lags + 1
-    hop = _hop(n_lags, z.shape[1], columns)
-    edges = np.array([0, columns])
-    return np.asarray(_block_sums(np.ascontiguousarray(z), n_lags, edges, hop)[0][0])
-
-
 def _is_direct(n_lags: int, c: int) -> bool:
     return n_lags * c**2 <= DIRECT_LIMIT
 
@@ -103,6 +85,8 @@ def _block_sums(z: Floats, n_lags: int, edges: Edges, hop: int) -> tuple[Floats,
     """
     c = z.shape[1]
     sizes = -(-np.diff(edges) // hop) * hop
+    if len(sizes) > 1 and sizes[-2] < 2 * sizes[-1] < 2 * sizes[-2]:
+        sizes[-1] = sizes[-2]  # a few zeros more, and it goes with the others
     columns = int(sizes.sum())
     multiply = _products if _is_direct(n_lags, c) else _transformed
     here = _padded(z[: edges[-1]], columns)
@@ -128,7 +112,8 @@ def _products(here: Floats, ahead: Floats, n_lags: int, hop: int) -> Floats:
     """Return the lagged sums of parts (parts, columns, c) by products of pieces.
 
     Each piece (hop · c) is multiplied with itself and the pieces that follow, which are views
-    of the samples; then products of the same lag are added.
+    of the samples; then products of the same lag are added. `ahead` is contiguous and reaches
+    as many pieces beyond `here` as the lags do.
     """
     parts, columns, c = here.shape
     reach, piece, pieces = 1 + -(-(n_lags - 1) // hop), hop * c, columns // hop
@@ -170,7 +155,10 @@ def _transformed(here: Floats, ahead: Floats, n_lags: int, hop: int) -> Floats:
 def _reduce_segment(
     stream: Stream, segment: Segment, n_rows: int, longest: int
 ) -> tuple[Edges, Floats, Floats, Floats, Floats]:
-    """Return edges, lags, sums, heads and tails of a segment's time blocks, chunk by chunk."""
+    """Return edges, lags, sums, heads and tails of a segment's time blocks, chunk by chunk.
+
+    Edges (n_blocks + 1,) count Hankel columns; the rest is as in `BlockGram`.
+    """
     c, columns = len(stream.scale), segment.length - n_rows + 1
     hop = _hop(n_rows, c, columns)
     edges = _time_blocks(columns, longest, hop)

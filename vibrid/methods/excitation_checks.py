@@ -29,7 +29,9 @@ CLIPPED_SHARE = 0.02  # of the samples on an extreme: for motion too fast to res
 TWO_LEVELS = 0.5  # of the samples: a two-level input rests on its extremes by design
 DEAD_LEVEL = 1e-5  # of the median deviation of the channels with the same quantity and unit
 STILL_SHARE = 0.9  # of the samples that equal the one before
-STUCK_RUN = 200  # samples of one value, one after the other: no resolution is that coarse for long
+STUCK_RUN = (
+    200  # samples of one value in a row, within a chunk: no resolution is so coarse for long
+)
 STUCK_SHARE = 0.02  # of the samples in such runs
 SPECTRUM_LINES = 256
 
@@ -179,7 +181,7 @@ def _walked(stream: Stream) -> list[Finding]:
             same = rows[1:] == rows[:-1]
             count = same.sum(axis=0)
             still += count
-            for k in np.flatnonzero(count >= STUCK_RUN):
+            for k in np.flatnonzero(count >= STUCK_RUN - 1):
                 runs = np.diff(np.flatnonzero(np.concatenate([[True], ~same[:, k], [True]])))
                 stuck[k] += runs[runs >= STUCK_RUN].sum()
             _rest_on(tops[0], rows)

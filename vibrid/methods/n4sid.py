@@ -115,7 +115,7 @@ class N4SID:
             No inputs, too few samples, constant or all-NaN channels.
         """
         if self.weighting == "auto":
-            option = replace(self, weighting="cva")
+            option = replace(self, weighting=COMPARED[0])
             return option.decompose(data, offset=offset, feedthrough=feedthrough, gram=gram)
         past, future = horizon(self.block_rows, self.past_rows)
         stream, gram = prepare(data, past, future, offset, gram)
@@ -131,7 +131,11 @@ class N4SID:
         return assemble(self, stream, gram, layout, factor, states, feedthrough)
 
     def _states(self, R: Floats, layout: Layout, stream: Stream) -> tuple[Floats, Floats, Floats]:
-        """Return Γ, J and singular values, those of outputs in the outputs' unit."""
+        """Return Γ, J and singular values.
+
+        Canonical correlations of "cva" and "ssarx", else in the geometric mean of the outputs'
+        units.
+        """
         found = whitened_by_regression(R, layout) if self.weighting == "ssarx" else None
         if found is not None:
             return found

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -15,7 +14,7 @@ from ...record import Floats, Record
 from ...statespace import HOLDS
 from .. import refusals
 from ..coordinates import force_history, periodic_force
-from ..forces import phasor_deviations
+from ..forces import PeriodicForce, phasor_deviations
 from ..result import BlindFit, BlindVerdict, blind_fit, modes_from
 from ..sensors import Sensors
 from .data import most_oscillations, signals_of
@@ -23,7 +22,6 @@ from .division import divide
 from .found import Found, found_in
 from .judged import (
     CURES,
-    KNOWN_FORCE,
     assumed_in,
     diagnostics_of,
     findings_of,
@@ -155,31 +153,9 @@ def answer(sensors: Sensors, found: Found, hold: str, mass: ArrayLike | None) ->
     )
 
 
-@dataclass(frozen=True, eq=False)
-class Force:
-    """M⁻¹f of all records.
-
-    Attributes
-    ----------
-    phasors : complex array (n_records, n, n_frequencies)
-    history : array (n_samples, n)
-        Of all records, one after the other.
-    deviations : array (n,)
-        Root mean square of its expected error.
-    """
-
-    phasors: Complexes
-    history: Floats
-    deviations: Floats
-
-    @property
-    def known(self) -> bool:
-        """Whether the errors leave something to be shown; no force at all is known too."""
-        size = np.sqrt(np.mean(self.history**2, axis=0)).max()
-        return not self.phasors.size or bool((self.deviations < KNOWN_FORCE * size).all())
-
-
-def _force(sensors: Sensors, found: Found, rates: Floats, columns: Complexes, hold: str) -> Force:
+def _force(
+    sensors: Sensors, found: Found, rates: Floats, columns: Complexes, hold: str
+) -> PeriodicForce:
     """Return the force behind the sensors' phasors in each record."""
     place, powers, dt = found.place, sensors.powers, sensors.setting.dt
     n, hertz, signals = len(powers), rates / (2 * np.pi), found.place.signals
@@ -201,4 +177,4 @@ def _force(sensors: Sensors, found: Found, rates: Floats, columns: Complexes, ho
         )
         variance += 0.5 * length / signals.count * (off**2).sum(axis=1)
     history = np.vstack([force_history(p, hertz, length, dt) for p, length in pairs])
-    return Force(np.array(phasors), history, np.sqrt(variance))
+    return PeriodicForce(np.array(phasors), history, np.sqrt(variance))

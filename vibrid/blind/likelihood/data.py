@@ -40,8 +40,7 @@ def signals_of(
                 f"The records have sampling intervals of {records[0].dt:g} and {record.dt:g} s; "
                 "bring them to one with decimate()."
             )
-    hertz = np.asarray([] if input_frequencies_hz is None else input_frequencies_hz, float)
-    _check_frequencies(hertz, records[0].dt)
+    hertz = frequencies_of(input_frequencies_hz, records[0].dt)
     samples = tuple(s.outputs(record) for s, record in zip(each, records, strict=True))
     shortest = min(len(y) for y in samples)
     least = SAMPLES_EACH * (n_dof + len(hertz) + 1)
@@ -56,15 +55,20 @@ def signals_of(
     return replace(first, setting=setting), Signals(samples, records[0].dt, 2 * np.pi * hertz)
 
 
-def _check_frequencies(hertz: Floats, dt: float) -> None:
-    if hertz.ndim != 1 or not np.isfinite(hertz).all() or (hertz <= 0).any():
-        raise OptionError("input_frequencies_hz must be positive numbers, in hertz.")
-    if len(hertz) and hertz.max() >= 0.5 / dt:
+def frequencies_of(given: Sequence[float] | None, dt: float) -> Floats:
+    """Return input_frequencies_hz as an array, none of it twice or beyond Nyquist."""
+    hertz = np.asarray([] if given is None else given, dtype=np.float64)
+    if hertz.ndim != 1:
+        raise OptionError("input_frequencies_hz must be a list of numbers, in hertz.")
+    wrong = hertz[~((hertz > 0) & (hertz < 0.5 / dt))]
+    if len(wrong):
         raise OptionError(
-            f"input_frequencies_hz holds {hertz.max():g} Hz; the record reaches {0.5 / dt:g} Hz."
+            f"input_frequencies_hz must lie between 0 and the Nyquist frequency {0.5 / dt:g} Hz; "
+            f"got {wrong[0]:g}."
         )
     if len(np.unique(hertz)) < len(hertz):
-        raise OptionError("input_frequencies_hz names a frequency twice.")
+        raise OptionError(f"input_frequencies_hz names a frequency twice: {hertz.tolist()}.")
+    return hertz
 
 
 def _check_motion(y: Floats, setting: Setting) -> None:

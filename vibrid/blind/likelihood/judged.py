@@ -18,7 +18,6 @@ from .real_shapes import RealShapes
 from .search import LOWEST, price
 
 UNLIKELY = 0.01  # probability of a structure's misfit below which it is doubted
-KNOWN_FORCE = 0.5  # of a force's size: a larger error leaves nothing to be shown
 LOOKED_AT = 400  # frequencies at which a sine of the force might hide
 CURES = {
     "normalized_damping": "M⁻¹D: a stronger transient, or shapes='real' where damping is "
@@ -35,7 +34,8 @@ def judge(found: Found) -> tuple[Mapping[str, float], tuple[Refusal, ...]]:
         refusals.of_certainty(division.certainty, place.signals.n_channels),
         refusals.of_lead(division.lead),
         refusals.of_deviations(found.P, found.covariance),
-        refusals.of_matrices(found.P, found.estimate.condition()),
+        refusals.of_condition(found.estimate.condition()),
+        refusals.of_stiffness(found.P),
     ]
     if found.taken is not None:
         free, hidden = found.taken.free_deviation, found.taken.hidden
@@ -157,17 +157,26 @@ def hidden_sines(found: Found, powers: Powers, force: Floats) -> Iterator[Findin
     lowest, highest = LOWEST / signals.duration, 0.5 / signals.dt
     hertz = np.geomspace(lowest, highest, LOOKED_AT)
     noise = np.mean([place.noise(record) for record in range(len(place.parts))], axis=0)
-    size = KNOWN_FORCE * float(np.sqrt(np.mean(np.sum(force**2, axis=1))))
+    size = forces.KNOWN_FORCE * float(np.sqrt(np.mean(np.sum(force**2, axis=1))))
     low, high = forces.seen_band(
         found.P, powers, noise, shortest, hertz, size=size, gain=price(signals)
     )
-    if not (low <= lowest and high >= highest):
+    share = f"{100 * forces.KNOWN_FORCE:.0f} % of the force's RMS"
+    if np.isnan(low):
+        yield Finding(
+            "hidden_sines",
+            "doubt",
+            f"Sines of the force were sought, but nowhere would one with {share} be seen, and the "
+            "force's error does not count what is missing.",
+            "Use sensors with less noise, or a longer record.",
+        )
+    elif not (low <= lowest and high >= highest):
         yield Finding(
             "hidden_sines",
             "note",
             f"Sines of the force were sought where the sensors tell them from noise: outside "
-            f"{low:.3g} to {high:.3g} Hz one with {100 * KNOWN_FORCE:.0f} % of the force's RMS "
-            "might be missing, and the force's error does not count it.",
+            f"{low:.3g} to {high:.3g} Hz one with {share} might be missing, and the force's error "
+            "does not count it.",
         )
 
 

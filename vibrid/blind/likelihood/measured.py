@@ -20,11 +20,11 @@ from ...modes import Complexes
 from ...record import Floats, Record
 from ...statespace import HOLDS
 from .. import refusals
-from ..coordinates import check_independent, normalized_system
+from ..coordinates import check_independent, dynamic_stiffness, normalized_system
 from ..result import BlindFit, BlindVerdict, Refusal, blind_fit, modes_from
 from ..sensors import Sensors, forces_of
 from .components import Signals
-from .data import most_oscillations, records_of, signals_of
+from .data import frequencies_of, most_oscillations, records_of, signals_of
 from .division import divide
 from .judged import CURES, refused, unexplained
 from .modal import condition, modal_estimate, swinging
@@ -98,7 +98,8 @@ def blind_measured(
     if start is None:
         return refused(sensors, *refusals.together(judged), (LACKING,))
     joint = _joint(steady, sensors, hold, start, transient)
-    judged = judged if transient else ({}, [])
+    if transient is None:  # the steady state alone is enough, if nothing else broke a rule
+        judged = judged[0], [each for each in judged[1] if each.rule in ("R2", "R3")]
     return _answer(sensors, np.vstack(inputs), steady, joint, judged, mass)
 
 
@@ -114,7 +115,7 @@ def _inputs_of(records: Sequence[Record]) -> tuple[Floats, ...]:
 
 def _frequencies(inputs: tuple[Floats, ...], dt: float, given: Sequence[float] | None) -> Floats:
     if given is not None:
-        return np.sort(np.asarray(given, dtype=np.float64))
+        return np.sort(frequencies_of(given, dt))
     signals = Signals(inputs, dt, np.zeros(0))
     growth = grow(signals, MOST_SINES)
     if not growth.explained:
@@ -264,11 +265,11 @@ def _whitener(covariance: Floats) -> Floats:
 
 def _responder(steady: Steady, sensors: Sensors, hold: str) -> Callable[[Floats], Complexes]:
     """Return the function from [𝒦 𝒟] to G (n_frequencies, n, n)."""
-    n, powers, s = sensors.setting.n_dof, sensors.powers, 1j * steady.rates[:, None, None]
+    n, powers = sensors.setting.n_dof, sensors.powers
+    turn = (1j * steady.rates[:, None, None]) ** powers[:, None]
 
     def smooth(P: Floats) -> Complexes:
-        stiffness = s**2 * np.eye(n) + s * P[:, n:] + P[:, :n]
-        return np.asarray(s ** powers[:, None] * np.linalg.inv(stiffness))
+        return np.asarray(turn * np.linalg.inv(dynamic_stiffness(P, steady.rates)))
 
     def held(P: Floats) -> Complexes:
         system = normalized_system(P[:, :n], P[:, n:], powers)
@@ -299,7 +300,8 @@ def _answer(
     checks, broken = refusals.together(
         judged,
         refusals.of_deviations(joint.P, joint.of_matrices),
-        refusals.of_matrices(joint.P, condition(poles, shapes)),
+        refusals.of_condition(condition(poles, shapes)),
+        refusals.of_stiffness(joint.P),
         _of_misfit(joint.misfit),
     )
     damping = checks["damping_deviation"] <= refusals.DAMPING

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-import numpy as np
 from numpy.typing import ArrayLike
 
 from ...errors import OptionError, check_choice, check_whole
 from ...record import Floats, Record
 from ...statespace import HOLDS
+from ..likelihood.data import frequencies_of
 from ..result import BlindFit
 from ..sensors import sensors_of
 from .answer import in_physical_coordinates
@@ -86,7 +86,7 @@ def blind_subspace(
     """
     check_choice("hold", hold, HOLDS)
     sensors = sensors_of(record, n_dof)
-    known = _known_frequencies(input_frequencies_hz, record.dt)
+    known = sorted(frequencies_of(input_frequencies_hz, record.dt).tolist())
     part = _rows(stretch, record)
     y = sensors.outputs(record)
     horizon = usual_horizon(len(y), n_dof) if block_rows is None else block_rows
@@ -95,20 +95,6 @@ def blind_subspace(
     division = divide(found.poles, n_dof, record.duration, known)
     again = _again(y, record.dt, found)
     return in_physical_coordinates(Case(record, sensors, found, division, again, hold, mass, part))
-
-
-def _known_frequencies(frequencies_hz: Sequence[float] | None, dt: float) -> list[float]:
-    given = () if frequencies_hz is None else frequencies_hz
-    values = sorted(np.asarray(given, dtype=np.float64).ravel().tolist())
-    wrong = [each for each in values if not 0 < each < 0.5 / dt]
-    if wrong:
-        raise OptionError(
-            f"input_frequencies_hz must lie between 0 and the Nyquist frequency {0.5 / dt:g} Hz; "
-            f"got {wrong[0]:g}."
-        )
-    if len(set(values)) < len(values):
-        raise OptionError(f"input_frequencies_hz must be different; got {values}.")
-    return values
 
 
 def _rows(stretch: tuple[float, float] | None, record: Record) -> slice | None:

@@ -7,19 +7,19 @@ from dataclasses import dataclass
 import numpy as np
 
 from ...fit import Diagnostics, Finding
-from ...modes import Complexes, Modes
+from ...modes import Modes
 from ...physical.units import si_factors
 from ...record import Floats
 from ..coordinates import displacement_shapes, input_matrix, normalized_matrices
-from ..refusals import DAMPING
-from ..refusals import of_deviations as judge_deviations
-from ..refusals import of_matrices as judge_matrices
+from ..forces import PeriodicForce
+from ..likelihood.modal import condition
+from ..refusals import DAMPING, of_condition, of_deviations, of_stiffness, together
 from ..result import BlindFit, BlindVerdict, Refusal, blind_fit, modes_from
 from .accuracy import accuracy
 from .case import Case
 from .checks import check_figures, refusals
 from .division import Amplitudes, amplitudes
-from .forces import PeriodicForces, periodic_forces
+from .forces import periodic_forces
 
 NEGATIVE = -1e-9  # real part of an eigenvalue of 𝒟 over the largest: rounding
 NO_MASS = "a mass, for stiffness, damping and force in physical units"
@@ -88,11 +88,11 @@ def _structure(case: Case, fitted: Amplitudes) -> Structural:
     poles, powers, setting = case.division.structure, case.sensors.powers, case.sensors.setting
     P = np.hstack(normalized_matrices(poles, fitted.structure, powers))
     shapes = displacement_shapes(poles, fitted.structure, powers)
-    checks, refused = judge_matrices(P, _condition(poles, shapes))
+    checks, refused = together(of_condition(condition(poles, shapes)), of_stiffness(P))
     if refused or case.limited:  # nothing to judge, or no bound of lines that depend on each other
-        return Structural(P, modes_from(poles, shapes, setting), None, checks, tuple(refused))
+        return Structural(P, modes_from(poles, shapes, setting), None, dict(checks), refused)
     off = accuracy(case.outputs, case.record.dt, case.division, powers)
-    more, wide = judge_deviations(P, off.covariance)
+    more, wide = of_deviations(P, off.covariance)
     modes = modes_from(
         poles,
         shapes,
@@ -103,17 +103,10 @@ def _structure(case: Case, fitted: Amplitudes) -> Structural:
     return Structural(P, modes, off.covariance, {**checks, **more}, tuple(wide))
 
 
-def _condition(poles: Complexes, shapes: Complexes) -> float:
-    """Return the condition of [Φ; Φ Λ], rows and columns scaled."""
-    both = np.vstack([shapes, shapes * poles / np.abs(poles).mean()])
-    both = np.hstack([both, both.conj()])
-    return float(np.linalg.cond(both / np.linalg.norm(both, axis=0)))
-
-
 def _as_fit(
     case: Case,
     made: Structural,
-    forces: PeriodicForces,
+    forces: PeriodicForce,
     problems: list[Refusal],
     diagnostics: Diagnostics,
 ) -> BlindFit:
@@ -171,7 +164,7 @@ def _undamped(damping: Floats, checks: dict[str, float]) -> Finding:
     )
 
 
-def _unpushed(forces: PeriodicForces) -> Finding:
+def _unpushed(forces: PeriodicForce) -> Finding:
     size = float(np.sqrt(np.mean(forces.history**2, axis=0)).max())
     return Finding(
         "force_undetermined",

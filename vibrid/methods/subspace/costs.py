@@ -22,6 +22,8 @@ def prediction_cost(
     """Return log det of the covariance of y − ŷ at the last future step.
 
     ŷ(k) = C Ã^k J W_p + Σ_j C Ã^(k−1−j) [B̃ u(j) + K y(j)] + D u(k); Ã = A − K C, B̃ = B − K D.
+    `R` is the triangle of the Hankel rows in the order of `layout`, `state_map` (as many states
+    or more, n_past) is J, `samples` the number of Hankel columns.
     """
     step, p = layout.future_rows - 1, layout.n_outputs
     A, B = model.A - model.K @ model.C, model.B - model.K @ model.D

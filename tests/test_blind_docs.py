@@ -2,34 +2,24 @@
 
 from __future__ import annotations
 
-import re
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from worked_examples import run
 
 from studies.blind_records import off
 
-PAGE = Path(__file__).resolve().parent.parent / "docs" / "blind.md"
 START = "Sines on every floor"
-
-
-def run(*sections: str) -> dict[str, Any]:
-    """Run the code of these sections in turn and return its names."""
-    names: dict[str, Any] = {}
-    parts = re.split(r"^## (.*)$", PAGE.read_text(encoding="utf-8"), flags=re.MULTILINE)
-    code = dict(zip(parts[1::2], parts[2::2], strict=True))
-    for section in sections:
-        for block in re.findall(r"```python\n(.*?)```", code[section], flags=re.DOTALL):
-            exec(block, names)
-    return names
 
 
 @pytest.fixture(scope="module")
 def names() -> dict[str, Any]:
     """What the examples with synthetic data leave behind."""
-    return run(START, "A force at one mass", "Ambient vibration", "Any force outside the modes")
+    return run(
+        "blind.md", START, "A force at one mass", "Ambient vibration", "Any force outside the modes"
+    )
 
 
 @pytest.fixture(scope="module")
@@ -79,7 +69,7 @@ def test_ambient_and_outside_the_modes(
 def test_frame_on_a_table(shared_data: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Rows of the upper floors beside those of the measured table, and the lag."""
     monkeypatch.chdir(shared_data)
-    names = run(START, "A frame on a table that nobody measured")
+    names = run("blind.md", START, "A frame on a table that nobody measured")
     frame = names["frame"]
     assert frame.forced_dofs == ("floor1",) and np.isnan(frame.normalized_stiffness[0]).all()
     with_table = np.array([[-3277.7, 6490.2, -3419.2], [306.4, -3763.6, 3454.8]])

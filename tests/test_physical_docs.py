@@ -2,27 +2,11 @@
 
 from __future__ import annotations
 
-import re
-from pathlib import Path
-from typing import Any
-
 import numpy as np
+from worked_examples import run
 
 import vibrid as vb
 from vibrid.physical import storey_stiffnesses
-
-PAGE = Path(__file__).resolve().parent.parent / "docs" / "physical.md"
-
-
-def run(*sections: str) -> dict[str, Any]:
-    """Run the code of these sections in turn and return its names."""
-    names: dict[str, Any] = {"np": np, "vb": vb}
-    parts = re.split(r"^## (.*)$", PAGE.read_text(encoding="utf-8"), flags=re.MULTILINE)
-    code = dict(zip(parts[1::2], parts[2::2], strict=True))
-    for section in sections:
-        for block in re.findall(r"```python\n(.*?)```", code[section], flags=re.DOTALL):
-            exec(block, names)
-    return names
 
 
 def error(found, true) -> float:
@@ -31,7 +15,7 @@ def error(found, true) -> float:
 
 def test_shaker_test_and_mass_change():
     """M and K within .1 %, R, R* and the chain's R as said; the scale from an added mass."""
-    names = run("A shaker test", "Without any input")
+    names = run("physical.md", "A shaker test", "Without any input")
     true, found, law = names["structure"], names["found"], names["law"]
     assert max(error(found.mass, true.mass), error(found.stiffness, true.stiffness)) < 1e-3
     np.testing.assert_allclose(error(found.damping, true.damping), 0.027, rtol=0.1)
@@ -53,7 +37,7 @@ def test_shaker_test_and_mass_change():
 def test_frame_on_a_shake_table(shared_data, monkeypatch):
     """Delays, collinearity, storey stiffnesses of the table."""
     monkeypatch.chdir(shared_data)
-    names = run("A frame on a shake table")
+    names = run("physical.md", "A frame on a shake table")
     found = names["found"]
     np.testing.assert_allclose(1e3 * found.delays.seconds, [0, -0.10, 2.02], atol=0.01)
     np.testing.assert_allclose(vb.mpc(found.shapes), [0.9999, 0.9995, 0.9996], atol=1e-4)

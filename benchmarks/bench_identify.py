@@ -1,4 +1,4 @@
-"""Time whole identifications, one BLAS thread: CPU seconds (median of 5) and memory above the data.
+"""Time whole identifications, one BLAS thread: CPU seconds (median of 5 measurements) and memory above the data.
 
 Run ``python -m benchmarks.bench_identify``; ``--quick`` is short. Workloads: a chain with modes
 of 4 to 40 Hz at 100 Hz, white forces, accelerations, 5 % noise; "from the Gram" is A, B, C, D, K

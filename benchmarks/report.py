@@ -34,7 +34,8 @@ of memory and a limit of time. What does not install, fails or exceeds a limit i
 says so. How each package is called: `benchmarks/others/run_<package>.py`. Data are in memory and
 in the package's own form before the clock starts, except where a row reads mapped files.
 
-- **CPU s**: median of five runs after a first one; a first run of more than 5 s stands alone (¹).
+- **CPU s**: median of five measurements after a first run, each of one run, or the mean of as many
+  as 50 ms hold; a first run of more than 5 s stands alone (¹).
 - **ratio**: these seconds over those of the first row of the table. Rows do not all compute the
   same; the second column says what they return.
 - **MB above data**: largest resident memory during the first run, less that before it.

@@ -1,7 +1,7 @@
 """What every adapter does alike: load the data, time the work, read the memory, return poles.
 
 An adapter run_<package>.py lists its TASKS and calls `main`. It runs in the package's own
-environment, where NumPy is the only certain guest, so nothing else is imported here.
+environment, where NumPy is the only certain guest, so nothing else from outside is imported here.
 """
 
 from __future__ import annotations
@@ -10,7 +10,6 @@ import contextlib
 import importlib.metadata
 import json
 import math
-import statistics
 import sys
 import time
 from collections.abc import Callable
@@ -20,6 +19,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+
+from benchmarks.timing import seconds
 
 REPEATS = 5
 LONG = 5.0  # CPU seconds; a longer run is not repeated
@@ -101,29 +102,23 @@ def poles_of_modes(frequencies_hz: Any, damping_ratios: Any) -> Any:
 
 
 def measure(work: Work) -> dict[str, Any]:
-    """Run once for the memory; if that is short, five times more for the time."""
+    """Run once for the memory; if that is short, measure the time five times more."""
     _reset_peak()
     before = _kilobytes("VmRSS")
     start = time.process_time()
     result = work.run()
-    times = [time.process_time() - start]
+    spent, measured = time.process_time() - start, 1
     peak = _kilobytes("VmHWM") - before
     poles = np.asarray(work.poles(result), dtype=complex)
     del result
-    if times[0] <= LONG:
-        times = [_timed(work.run) for _ in range(REPEATS)]
+    if spent <= LONG:
+        spent, measured = seconds(work.run, REPEATS), REPEATS
     return {
-        "seconds": statistics.median(times),
-        "runs": len(times),
+        "seconds": spent,
+        "runs": measured,
         "megabytes": peak / 1024,
         "poles": [[p.real, p.imag] for p in poles[np.isfinite(poles)].tolist()],
     }
-
-
-def _timed(run: Callable[[], Any]) -> float:
-    start = time.process_time()
-    run()
-    return time.process_time() - start
 
 
 def _reset_peak() -> None:

@@ -1,9 +1,10 @@
 """Time whole identifications, one BLAS thread: CPU seconds and memory above the data.
 
-Seconds are the median of five measurements. Run ``python -m benchmarks.bench_identify``; ``--quick`` is short. Workloads: a chain with modes
-of 4 to 40 Hz at 100 Hz, white forces, accelerations, 5 % noise; "from the Gram" is A, B, C, D, K
-without a pass over the data for B, D and initial states. The share of the one pass that
-no method can save, walking the data once for means and scales, stands beside each.
+Seconds are the median of five measurements. Run ``python -m benchmarks.bench_identify``;
+``--quick`` is short. Workloads: a chain with modes of 4 to 40 Hz at 100 Hz, white forces,
+accelerations, 5 % noise; "from the Gram" is A, B, C, D, K without a pass over the data for B, D
+and initial states. The share of the one pass that no method can save, walking the data once for
+means and scales, stands beside each.
 """
 
 from __future__ import annotations

@@ -32,6 +32,38 @@ def test_full_svd(rng: np.random.Generator) -> None:
     assert (left.shape, values.shape, right.shape) == ((30, 3), (20,), (3, 20))
 
 
+@pytest.mark.parametrize("shape", [(60, 40), (40, 60), (50, 50)])
+def test_svd_by_the_gram(rng: np.random.Generator, shape: tuple[int, int]) -> None:
+    """Value k has a relative error of 1e-15 (σ₁/σ_k)²; vectors are singular vectors as well."""
+    known = np.geomspace(3.0, 3e-5, min(shape))
+    matrix = (
+        orthonormal(rng, shape[0], len(known)) * known @ orthonormal(rng, shape[1], len(known)).T
+    )
+    left, values, right = leading_svd(matrix, len(known))
+    assert (np.abs(values / known - 1) <= 1e-14 * (known[0] / known) ** 2).all()
+    np.testing.assert_allclose(left * values @ right, matrix, atol=1e-14)
+    np.testing.assert_allclose(matrix @ right[:20].T, left[:, :20] * values[:20], atol=1e-14)
+    np.testing.assert_allclose(left[:, :20].T @ left[:, :20], np.eye(20), atol=1e-10)
+    np.testing.assert_allclose(right[:20] @ right[:20].T, np.eye(20), atol=1e-10)
+
+
+def test_svd_of_a_spectrum_too_wide_for_its_gram(rng: np.random.Generator) -> None:
+    """Values asked for below 1e-6 of the largest come from the full decomposition."""
+    known = np.geomspace(1.0, 1e-12, 13)
+    matrix = orthonormal(rng, 30, 13) * known @ orthonormal(rng, 20, 13).T
+    _, values, _ = leading_svd(matrix, 13)
+    np.testing.assert_allclose(values[:13], known, atol=1e-15)
+    assert (values[13:] < 1e-15).all()
+    # fewer asked for, which the Gram tells
+    np.testing.assert_allclose(leading_svd(matrix, 4)[1][:4], known[:4], rtol=1e-9)
+
+
+def test_svd_of_nothing() -> None:
+    """No rows, or zeros, are no error: there is no value, or zeros."""
+    assert leading_svd(np.zeros((0, 5)), 3)[1].shape == (0,)
+    np.testing.assert_array_equal(leading_svd(np.zeros((3, 5)), 2)[1], np.zeros(3))
+
+
 def test_randomized_svd_of_a_large_matrix(rng: np.random.Generator) -> None:
     """Above 1500 rows the leading triplets equal the known ones to rounding."""
     size, rank = linalg.FULL_SVD_LIMIT + 20, 6

@@ -129,18 +129,17 @@ class BlockGram:
         A row that holds nothing but a constant, or but rounding beside the channel's largest
         row (a force that acts once, before the row begins), comes out as exact zeros.
         """
-        upper = self._expanded()
-        own = np.diag(upper).reshape(self.n_rows, self.n_channels)
-        size = np.tile(own.max(axis=0), self.n_rows)
+        gram = self._expanded()
+        size = np.diag(gram).reshape(self.n_rows, self.n_channels).max(axis=0)
         if self.offset == "estimate":
             rows = self._row_sums()
-            upper -= (rows / self._lengths[:, None]).T @ rows
-        still = np.diag(upper) <= ROUNDING_SHARE * size
+            gram -= (rows / self._lengths[:, None]).T @ rows
+        left = np.diag(gram).reshape(self.n_rows, self.n_channels)
+        still = (left <= ROUNDING_SHARE * size).ravel()
         if still.any():
-            upper[still, :] = 0
-            upper[:, still] = 0
-        lower = np.tri(len(upper), k=-1, dtype=bool)
-        return np.asarray(np.where(lower, upper.T, upper))
+            gram[still, :] = 0
+            gram[:, still] = 0
+        return gram
 
     @cached_property
     def _used(self) -> np.ndarray[tuple[int], np.dtype[np.int64]]:
@@ -177,19 +176,14 @@ class BlockGram:
         return np.concatenate([first[:, None, :], later], axis=1).reshape(used, -1)
 
     def _expanded(self) -> Floats:
-        """Return the upper triangle by displacement, one block row from the one above it.
-
-        What is below the diagonal is not meant.
-        """
+        """Return the Gram by displacement, one block row from the one above it."""
         c, n = self.n_channels, self.n_rows
         head, tail = self._edges
-        gram = np.zeros((n * c, n * c))
-        gram[:c] = self.lags.sum(axis=0).transpose(1, 0, 2).reshape(c, n * c)
-        gram[c:, c:] = tail.T @ tail
-        gram[c:, c:] -= head.T @ head
-        # one block row down and right is the same distance from every entry; what reaches
-        # beyond the last column lands below the diagonal
-        flat, block = gram.ravel(), c * n * c
-        for start in range(0, (n - 1) * block, block):
-            flat[start + block + c : start + 2 * block] += flat[start : start + block - c]
+        gram = np.empty((n * c, n * c))
+        first = self.lags.sum(axis=0).transpose(1, 0, 2).reshape(c, n * c)
+        gram[:c], gram[:, :c] = first, first.T
+        gram[c:, c:] = np.concatenate([tail, head]).T @ np.concatenate([tail, -head])
+        by_lag = gram.reshape(n, c, n * c)
+        for k in range(n - 1):
+            by_lag[k + 1, :, c:] += by_lag[k, :, :-c]
         return gram

@@ -42,7 +42,7 @@ class Factor:
 def factorize(gram: BlockGram, stream: Stream, rows: NDArray[np.int64]) -> Factor:
     """Factor the chosen rows of the block Hankel matrix, in the order given.
 
-    Cholesky of the equilibrated Gram; where its smallest pivot says that double precision
+    Cholesky of the Gram; where its smallest scaled pivot says that double precision
     is not enough, a second pass over the data by QR of chunks (TSQR; Demmel, Grigori,
     Hoemmen & Langou 2012).
 
@@ -66,21 +66,18 @@ def scaled_cholesky(gram: Floats) -> tuple[Floats | None, float]:
 
     A column of zeros is left out of the test and has a zero row and column in the factor.
     """
-    size = np.sqrt(np.diag(gram))
-    empty = np.flatnonzero(size == 0)
-    scale = size.copy()
-    scale[empty] = 1
-    unit = gram / scale
-    unit /= scale[:, None]
-    unit[empty, empty] = 1
-    try:
-        upper = sla.cholesky(unit, overwrite_a=True, check_finite=False)
-    except sla.LinAlgError:
+    empty = np.flatnonzero(np.diag(gram) == 0)
+    if len(empty):
+        gram = gram.copy()
+        gram[empty, empty] = 1
+    # scaled to unit diagonal first, it would not be any more accurate (Demmel 1989)
+    upper, failed = sla.lapack.dpotrf(gram.T)
+    if failed:
         return None, np.nan
-    pivot = float(np.diag(upper).min() ** 2) if len(upper) else 1.0
-    if pivot <= PIVOT_LIMIT:
+    pivot = float((np.diag(upper) ** 2 / np.diag(gram)).min(initial=1.0))
+    if not pivot > PIVOT_LIMIT:
         return None, pivot
-    upper *= size
+    upper[empty, empty] = 0
     return upper, pivot
 
 

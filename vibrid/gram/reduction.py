@@ -176,8 +176,8 @@ def _reduce_segment(
         more = _block_sums(z, n_rows, cuts - start, hop)
         lags[blocks] += more[0]
         sums[blocks] += more[1]
-        here = (edges >= start) & (edges <= stop)
-        at_edges[here] = z[(edges[here] - start)[:, None] + np.arange(n_rows - 1)]
+        for k in np.flatnonzero((edges >= start) & (edges <= stop)):
+            at_edges[k] = z[edges[k] - start :][: n_rows - 1]
     return edges, lags, sums, at_edges[:-1], at_edges[1:]
 
 

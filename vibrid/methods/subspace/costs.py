@@ -51,10 +51,10 @@ class FreeRun:
     floor: Floats
 
     @_unstable_overflow
-    def cost(self, model: Realization, samples: int) -> float:
+    def cost(self, A: Floats, C: Floats, samples: int) -> float:
         """Return the mean over the steps of log det of the covariance of y − C Aᵏ x."""
-        (p, n), count = model.C.shape, len(self.steps)
-        free = _free_responses(model.C, model.A, self.steps[-1])
+        (p, n), count = C.shape, len(self.steps)
+        free = _free_responses(C, A, self.steps[-1])
         if not np.isfinite(free).all():
             return np.inf
         expected = free[list(self.steps)].reshape(count * p, n).T

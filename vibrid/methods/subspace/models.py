@@ -30,6 +30,7 @@ from .feedback import Feedback, feedback_of
 from .layout import Layout
 from .states import NOISE_FREE
 
+Matrices = tuple[Floats, Floats, Floats, Floats]  # A, B, C, D
 PREPARED = (8, 16, 64)  # states prepared together; larger orders prepare all there are
 
 
@@ -182,13 +183,12 @@ class Subspace:
 
     def _realized(self, order: int, transition: str) -> Realization:
         if transition != "auto":
-            return self._with_gain(self._draft(order, transition))
-        drafts = [self._draft(order, name) for name in ("regression", "shift")]
+            return self._completed(self._draft(order, transition))
         if self.layout.n_inputs:
             # a free response needs no gain, which is what costs most of small models
-            models = [draft.model for draft in drafts]
-            costs = [(model.radius > STABLE_TO, self.free_cost(model)) for model in models]
-            return self.realize(order, models[costs.index(min(costs))].transition)
+            drafts = [self._draft(order, name) for name in ("regression", "shift")]
+            best = min(drafts, key=lambda draft: (draft.radius > STABLE_TO, self.free_cost(draft)))
+            return self.realize(order, best.transition)
         return min(
             (self.realize(order, "regression"), self.realize(order, "shift")),
             key=lambda model: (model.radius > STABLE_TO, self.prediction_cost(model)),
@@ -209,7 +209,7 @@ class Subspace:
             self.factor.triangle, self.layout, self.state_map, model, self.n_columns
         )
 
-    def free_cost(self, model: Realization) -> float:
+    def free_cost(self, model: Draft | Realization) -> float:
         """Return log det of the covariance of what the free response of x = J W_p misses.
 
         Of outputs and states less what the future inputs explain of them; the mean over four
@@ -220,7 +220,7 @@ class Subspace:
             self._free_runs[width] = free_run(
                 self.factor.triangle, self.layout, self.state_map[:width]
             )
-        return self._free_runs[width].cost(model, self.n_columns)
+        return self._free_runs[width].cost(model.A, model.C, self.n_columns)
 
     @cached_property
     def _free_runs(self) -> dict[int, FreeRun]:
@@ -239,86 +239,80 @@ class Subspace:
             T[:, m + 2 * width :],
         )
 
-    def _draft(self, order: int, transition: str) -> _Draft:
+    def _draft(self, order: int, transition: str) -> Draft:
         """Return the model of a transition without its gain."""
         key = (order, transition)
         if key not in self._drafts:
             by = self._by_regression if transition == "regression" else self._by_shift
-            self._drafts[key] = by(order)
+            self._drafts[key] = Draft(*by(order), transition)
         return self._drafts[key]
 
     @cached_property
-    def _drafts(self) -> dict[tuple[int, str], _Draft]:
+    def _drafts(self) -> dict[tuple[int, str], Draft]:
         return {}
 
-    def _by_regression(self, order: int) -> _Draft:
-        _, x, after, y = self._split(order)
-        q = self.layout.n_inputs + order
-        regressors = self._regression(self._width(order))[:q, :q]
-        AB = solve_upper(regressors, after[:q]).T
-        CD = solve_upper(regressors, y[:q]).T
-        m = self.layout.n_inputs
-        A, B, C, D = AB[:, m:], AB[:, :m], CD[:, m:].copy(), CD[:, :m].copy()
+    def _by_regression(self, order: int) -> Matrices:
+        u, x, after, y = self._split(order)
+        m, q = u.shape[1], u.shape[1] + order
+        regressors, targets = np.hstack([u, x])[:q], np.hstack([after, y])[:q]
+        found = solve_upper(regressors, targets).T
+        A, B, C, D = found[:order, m:], found[:order, :m], found[order:, m:], found[order:, :m]
         still = ~self.feedthrough
         if still.any() and m:
             C[still] = np.linalg.lstsq(x, y[:, still], rcond=None)[0].T
             D[still] = 0
-        return self._drafted((A, B, C, D), "regression")
+        return A, B, C, D
 
-    def _by_shift(self, order: int) -> _Draft:
+    def _by_shift(self, order: int) -> Matrices:
         u, x, after, y = self._split(order)
         m = self.layout.n_inputs
         upper, down = self._nested_shift(self._width(order))
         A = solve_upper(upper[:order, :order], down[:order, :order])
         C = self.gamma[: self.layout.n_outputs, :order]
-        B = solve_upper(u[:m], (after - x @ A.T)[:m]).T
-        D = solve_upper(u[:m], (y - x @ C.T)[:m]).T * self.feedthrough[:, None]
-        return self._drafted((A, B, C, D), "shift")
+        left = np.hstack([after - x @ A.T, y - x @ C.T])[:m]
+        found = solve_upper(u[:m], left).T
+        return A, found[:order], C, found[order:] * self.feedthrough[:, None]
 
-    def _drafted(self, matrices: tuple[Floats, Floats, Floats, Floats], transition: str) -> _Draft:
-        A, B, C, D = matrices
-        u, x, after, y = self._split(len(A))
-        errors = after - x @ A.T - u @ B.T, y - x @ C.T - u @ D.T
-        innovation = errors[1].T @ errors[1] / self.n_columns
-        model = Realization(
-            A,
-            B,
-            C,
-            D,
-            np.zeros((len(A), len(C))),
-            innovation,
-            x.T @ x / self.n_columns,
-            transition,
-            "none: no noise to learn it from",
-        )
-        return _Draft(model, *errors)
-
-    def _with_gain(self, draft: _Draft) -> Realization:
+    def _completed(self, draft: Draft) -> Realization:
         """Find the gain: by regression on the innovations where that predicts, else Riccati."""
-        model, samples = draft.model, self.n_columns
-        A, C = model.A, model.C
-        _, _, _, y = self._split(len(A))
+        A, B, C, D, samples = draft.A, draft.B, draft.C, draft.D, self.n_columns
+        u, x, after, y = self._split(len(A))
+        state_error, output_error = after - x @ A.T - u @ B.T, y - x @ C.T - u @ D.T
+        still = Realization(
+            *(A, B, C, D),
+            K=np.zeros((len(A), len(C))),
+            innovation=output_error.T @ output_error / samples,
+            state_covariance=x.T @ x / samples,
+            transition=draft.transition,
+            gain="none: no noise to learn it from",
+        )
         size = (y**2).sum(axis=0) / samples
-        if not (np.diag(model.innovation) > NOISE_FREE**2 * size).any():
-            return model
-        found, *_ = np.linalg.lstsq(draft.output_error, draft.state_error, rcond=1e-10)
-        K: Floats = np.asarray(found.T, dtype=np.float64)
-        regressed = replace(model, K=K, gain="regression")
+        if not (np.diag(still.innovation) > NOISE_FREE**2 * size).any():
+            return still
+        found, *_ = np.linalg.lstsq(output_error, state_error, rcond=1e-10)
+        regressed = replace(still, K=np.asarray(found.T, dtype=np.float64), gain="regression")
         if not self.positive_real and regressed.predictor_radius < DETECTABLE:
             return regressed
-        solved = _gain_of_residuals(A, C, draft.state_error, draft.output_error, samples)
+        solved = _gain_of_residuals(A, C, state_error, output_error, samples)
         if solved is None:
-            return replace(model, gain="none: no stable predictor")
-        return replace(model, K=solved[0], innovation=solved[1], gain="Riccati")
+            return replace(still, gain="none: no stable predictor")
+        return replace(still, K=solved[0], innovation=solved[1], gain="Riccati")
 
 
 @dataclass(frozen=True, eq=False)
-class _Draft:
-    """A model without its gain, and the residuals that the gain follows from."""
+class Draft:
+    """A model without its gain, of one transition."""
 
-    model: Realization
-    state_error: Floats
-    output_error: Floats
+    A: Floats
+    B: Floats
+    C: Floats
+    D: Floats
+    transition: str
+
+    @cached_property
+    def radius(self) -> float:
+        """Spectral radius of A."""
+        return spectral_radius(self.A)
 
 
 def assemble(

@@ -50,7 +50,7 @@ def _whitened(outputs: Floats, n_past: int) -> tuple[Floats, Floats]:
     These are rows of an orthogonal factor (Björck & Golub 1973), exact to rounding even where
     T is nearly singular; an inverse of T would mix correlations that are nearly one.
     """
-    Q, upper = np.linalg.qr(outputs)
+    Q, upper = sla.qr(outputs, mode="economic", check_finite=False)
     diagonal = np.abs(np.diag(upper))
     if len(upper) == len(upper.T) and diagonal.min() > RANK_TOLERANCE * diagonal.max():
         return upper.T, Q[:n_past].T

@@ -34,17 +34,22 @@ def mapped(data: Data) -> Work:
     return full(data, mapped=True)
 
 
-def regression(data: Data, mapped: bool = False) -> Work:
-    """A, B, C, D, K by state regression from the Gram matrix: no further pass over the data."""
+def realized(data: Data, mapped: bool = False, **options: Any) -> Work:
+    """A, B, C, D, K from the Gram matrix: no further pass over the data."""
     import vibrid as vb
 
-    record, method = _record(data, mapped), vb.N4SID(block_rows=data.block_rows)
+    record, method = _record(data, mapped), vb.N4SID(block_rows=data.block_rows, **options)
     return Work(lambda: method.realize(method.decompose(record), data.order), _poles)
 
 
-def mapped_regression(data: Data) -> Work:
+def mapped_realized(data: Data) -> Work:
     """The same from memory-mapped files, read in chunks."""
-    return regression(data, mapped=True)
+    return realized(data, mapped=True)
+
+
+def moesp(data: Data) -> Work:
+    """The same with weighting and transition given: no second model to compare with."""
+    return realized(data, weighting="moesp", transition="shift")
 
 
 def sweep(data: Data, kind: str) -> Work:
@@ -114,15 +119,18 @@ def okid_identify(data: Data) -> Work:
 
 FULL = "identify: A, B, C, D, K, offsets, initial states"
 REALIZED = "decompose and realize: A, B, C, D, K"
+MOESP = "decompose and realize, MOESP by shift invariance: A, B, C, D, K"
 MODELS = "30 orders: A, C, K"
 MODES = "30 orders: A, C, K, modes of each"
 TASKS = (
     Task("W1", FULL, full),
-    Task("W1", REALIZED, regression),
+    Task("W1", REALIZED, realized),
+    Task("W1", MOESP, moesp),
     Task("W2", FULL, full),
-    Task("W2", REALIZED, regression),
+    Task("W2", REALIZED, realized),
+    Task("W2", MOESP, moesp),
     Task("W3", FULL + "; from mapped files", mapped),
-    Task("W3", REALIZED + "; from mapped files", mapped_regression),
+    Task("W3", REALIZED + "; from mapped files", mapped_realized),
     Task("W4 covariance", MODES, partial(sweep_with_modes, kind="covariance")),
     Task("W4 covariance", MODELS, partial(sweep, kind="covariance")),
     Task("W4 data-driven", MODES, partial(sweep_with_modes, kind="data")),

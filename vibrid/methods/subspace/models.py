@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 import scipy.linalg as sla
@@ -31,6 +31,7 @@ from .layout import Layout
 from .states import NOISE_FREE
 
 Matrices = tuple[Floats, Floats, Floats, Floats]  # A, B, C, D
+Model = TypeVar("Model", Realization, "Draft")
 PREPARED = (8, 16, 64)  # states prepared together; larger orders prepare all there are
 
 
@@ -184,15 +185,12 @@ class Subspace:
     def _realized(self, order: int, transition: str) -> Realization:
         if transition != "auto":
             return self._completed(self._draft(order, transition))
-        if self.layout.n_inputs:
-            # a free response needs no gain, which is what costs most of small models
-            drafts = [self._draft(order, name) for name in ("regression", "shift")]
-            best = min(drafts, key=lambda draft: (draft.radius > STABLE_TO, self.free_cost(draft)))
-            return self.realize(order, best.transition)
-        return min(
-            (self.realize(order, "regression"), self.realize(order, "shift")),
-            key=lambda model: (model.radius > STABLE_TO, self.prediction_cost(model)),
-        )
+        if not self.layout.n_inputs:
+            models = [self.realize(order, name) for name in ("regression", "shift")]
+            return _first_stable(sorted(models, key=self.prediction_cost))
+        # a free response needs no gain, which is what costs most of small models
+        drafts = [self._draft(order, name) for name in ("regression", "shift")]
+        return self.realize(order, _first_stable(sorted(drafts, key=self.free_cost)).transition)
 
     @cached_property
     def _made(self) -> dict[tuple[int, str], Realization]:
@@ -313,6 +311,10 @@ class Draft:
     def radius(self) -> float:
         """Spectral radius of A."""
         return spectral_radius(self.A)
+
+
+def _first_stable(models: Sequence[Model]) -> Model:
+    return next((model for model in models if model.radius <= STABLE_TO), models[0])
 
 
 def assemble(

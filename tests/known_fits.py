@@ -1,4 +1,4 @@
-"""Fits made from known systems, not identified: what tests compare with."""
+"""Known structures, fits made of them without identification, and how far matrices are off."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from vibrid.fit import Diagnostics, Fit
 from vibrid.methods import N4SID
 from vibrid.record import Channel, make_channels
 from vibrid.statespace import StateSpace
-from vibrid.structures import Structure
+from vibrid.structures import Structure, chain
 
 
 def known_fit(
@@ -64,3 +64,26 @@ def structure_fit(
     )
     model = exact.to_discrete(0.01, "band_limited" if base else "zoh")
     return known_fit(model, record.output_channels, record.input_channels)
+
+
+def general(n: int) -> Structure:
+    """Return a chain with dashpots that are not proportional to anything."""
+    dashpots = 0.3 + 0.5 * np.cos(np.arange(n)) ** 2
+    return chain(np.linspace(2.0, 1.0, n), np.linspace(500.0, 800.0, n), dashpots=dashpots)
+
+
+def proportional(n: int) -> Structure:
+    return chain(np.linspace(2.0, 1.0, n), np.linspace(500.0, 700.0, n), rayleigh=(0.1, 4e-4))
+
+
+def error(found, true) -> float:
+    """Return the norm of the difference over that of the truth."""
+    return float(np.linalg.norm(found - true) / np.linalg.norm(true))
+
+
+def errors(found, true: Structure) -> list[float]:
+    return [
+        error(found.mass, true.mass),
+        error(found.damping, true.damping),
+        error(found.stiffness, true.stiffness),
+    ]

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from blind_cases import DT, FREQUENCIES, MASSES, errors, response, structure, truth
+from known_fits import error
 
 from vibrid.blind.coordinates import (
     force_history,
@@ -11,78 +13,13 @@ from vibrid.blind.coordinates import (
     normalized_matrices,
     periodic_force,
 )
-from vibrid.blind.finite_signal import blind_finite_signal
 from vibrid.blind.result import BlindVerdict, Refusal, blind_fit, known_mass, modes_from
 from vibrid.blind.sensors import sensors_of
 from vibrid.blind.subspace import blind_subspace
 from vibrid.errors import DataError, OptionError
-from vibrid.exosystem import augmented_model, phasor_signal
 from vibrid.record import Channel, Record
-from vibrid.structures import chain
 
-FREQUENCIES = np.array([0.7, 1.9, 3.3, 5.1, 6.4])
-MASSES = np.array([2.0, 1.5, 1.0])
-DT = 0.02
 MIXED = [("displacement", "f1"), ("velocity", "f2"), ("acceleration", "f3")]
-
-
-def structure():
-    return chain(MASSES, [600.0, 400.0, 300.0], dashpots=[0.6, 0.5, 0.4])
-
-
-def truth():
-    """Return M⁻¹K and M⁻¹D."""
-    return structure().stiffness / MASSES[:, None], structure().damping / MASSES[:, None]
-
-
-def response(
-    rng,
-    frequencies=FREQUENCIES,
-    *,
-    hold="band_limited",
-    sensors="acceleration",
-    n_samples=1500,
-    snr=None,
-    steady=False,
-    amplitude=1.0,
-):
-    """Return a record under sines on every DOF from an initial displacement, and M⁻¹f.
-
-    The exact free response of structure and force together, in continuous or held time.
-    """
-    system = structure().state_space(sensors, forces=structure().dofs)
-    phasors = amplitude * np.exp(2j * np.pi * rng.uniform(size=(3, len(frequencies))))
-    start = np.concatenate([0.1 * rng.standard_normal(3), np.zeros(3)])
-    held = hold == "zoh"
-    signal, forced = phasor_signal(frequencies, phasors, dt=DT if held else None)
-    if steady:
-        turn = 2j * np.pi * np.asarray(frequencies)
-        start = sum(
-            np.linalg.solve(s * np.eye(6) - system.A, system.B @ p).real
-            for s, p in zip(turn, phasors.T, strict=True)
-        )
-    model = augmented_model(system.to_discrete(DT) if held else system, signal)
-    model = model if held else model.to_discrete(DT)
-    y = model.simulate(initial_state=[*start, *forced], n_samples=n_samples)
-    if snr is not None:
-        y = y + 10 ** (-snr / 20) * np.sqrt((y**2).mean(axis=0)) * rng.standard_normal(y.shape)
-    force = (np.exp(2j * np.pi * DT * np.arange(n_samples)[:, None] * frequencies) @ phasors.T).real
-    channels = structure().simulate(None, DT, sensors=sensors, n_samples=4).output_channels
-    return Record(y, dt=DT, output_channels=channels), force / MASSES
-
-
-def error(found, wanted):
-    return np.linalg.norm(found - wanted) / np.linalg.norm(wanted)
-
-
-def errors(found, force):
-    K, D = truth()
-    damping = found.diagnostics.figures.get("candidate_damping", found.normalized_damping)
-    return (
-        error(found.normalized_stiffness, K),
-        error(damping, D),
-        error(found.normalized_force, force),
-    )
 
 
 def offset_by(record, value):
@@ -339,60 +276,6 @@ def test_sensors_are_checked(rng):
         sensors_of(record.relabel(labels), 3)
     with pytest.raises(OptionError, match="Nyquist frequency 25 Hz"):
         blind_subspace(record, 3, input_frequencies_hz=[30.0])
-
-
-# -- forces that are not periodic
-
-
-def random_response(rng, low, high, **options):
-    """Return a record under 90 incommensurable sines in a band."""
-    return response(rng, np.sort(rng.uniform(low, high, 90)), amplitude=0.2, **options)
-
-
-def test_a_force_outside_the_modes(rng):
-    """Modes at 1.4 to 4.4 Hz, random force from 6 to 10 Hz: 𝒦, 𝒟 and the force."""
-    record, force = random_response(rng, 6.0, 10.0, n_samples=800)
-    found = blind_finite_signal(record, 3, force_band=(5.9, 10.1))
-    assert found.verdict.kind == "out_of_band"
-    assert (np.array(errors(found, force)) < [1e-7, 1e-5, 1e-5]).all()
-
-
-def test_a_force_outside_the_modes_with_noise(rng):
-    """60 dB."""
-    record, force = random_response(rng, 6.0, 10.0, n_samples=800, snr=60)
-    found = blind_finite_signal(record, 3, force_band=(5.9, 10.1))
-    assert (np.array(errors(found, force)) < [1e-3, 0.1, 0.1]).all()
-
-
-def test_a_band_from_zero_is_a_basis_of_dependent_lines():
-    """Lines so dense that singular values do not converge; the modes lie within: refused."""
-    record, _ = random_response(np.random.default_rng(5), 6.0, 10.0, n_samples=800, snr=60)
-    assert not blind_finite_signal(record, 3, force_band=(0.0, 10.1)).accepted
-
-
-def test_a_force_in_the_band_of_the_modes_is_refused(rng):
-    """With its band given or not, the reason is said."""
-    record, _ = random_response(rng, 0.3, 6.0, snr=50)
-    for band in (None, (0.3, 6.0)):
-        found = blind_finite_signal(record, 3, force_band=band)
-        assert not found.accepted and np.isnan(found.normalized_damping).all()
-        assert "in_band" in [each.rule for each in found.verdict.refusals]
-    assert "explains the record with any" in str(blind_finite_signal(record, 3).verdict)
-
-
-def test_a_stretch_without_force(rng):
-    """Noise until 10 s, then a free decay."""
-    free = structure().simulate(None, DT, initial_state=[0.1, 0.0, -0.1, 0, 0, 0], n_samples=1500)
-    y = np.vstack([rng.standard_normal((500, 3)), free.outputs])
-    record = Record(y, dt=DT, output_channels=free.output_channels)
-    found = blind_finite_signal(record, 3, force_free=(10.0, 40.0))
-    K, D = truth()
-    assert found.verdict.kind == "force_free"
-    assert error(found.normalized_stiffness, K) < 1e-11
-    assert error(found.normalized_damping, D) < 1e-9
-    assert found.normalized_force.shape == y.shape and np.isnan(found.normalized_force).all()
-    with pytest.raises(OptionError, match="not both"):
-        blind_finite_signal(record, 3, force_free=(10.0, 40.0), force_band=(6.0, 9.0))
 
 
 # -- parts

@@ -3,14 +3,11 @@
 from __future__ import annotations
 
 import numpy as np
+from known_fits import error
 from worked_examples import run
 
 import vibrid as vb
 from vibrid.physical import storey_stiffnesses
-
-
-def error(found, true) -> float:
-    return float(np.linalg.norm(found - true) / np.linalg.norm(true))
 
 
 def test_shaker_test_and_mass_change():

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from known_fits import known_fit, structure_fit
+from known_fits import error, known_fit, structure_fit
 
 import vibrid as vb
 from vibrid import refine
@@ -23,10 +23,6 @@ from vibrid.structures import Structure, chain, shear_frame
 
 def structure(dashpots=(0.3, 0.6, 0.1)) -> Structure:
     return chain([2.0, 1.5, 1.0], [500.0, 700.0, 600.0], dashpots=list(dashpots))
-
-
-def error(found, true) -> float:
-    return float(np.linalg.norm(found - true) / np.linalg.norm(true))
 
 
 def output_only(true: Structure, sensors="acceleration") -> vb.Fit:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from known_fits import known_fit, structure_fit
+from known_fits import error, known_fit, structure_fit
 
 import vibrid as vb
 from vibrid.errors import DataError, OptionError
@@ -15,10 +15,6 @@ from vibrid.structures import Structure, chain
 
 def structure() -> Structure:
     return chain([2.0, 1.5, 1.0], [500.0, 700.0, 600.0], dashpots=[0.3, 0.6, 0.1])
-
-
-def error(found, true) -> float:
-    return float(np.linalg.norm(found - true) / np.linalg.norm(true))
 
 
 def disturbed(fit: vb.Fit, rng: np.random.Generator, size: float) -> vb.Fit:

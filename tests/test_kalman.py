@@ -112,3 +112,11 @@ def test_spectral_radius() -> None:
     rotation = 0.9 * np.array([[0.0, 1.0], [-1.0, 0.0]])
     assert spectral_radius(rotation) == pytest.approx(0.9)
     assert spectral_radius(np.zeros((0, 0))) == 0
+
+
+def test_white_noise_added_to_covariances_that_end() -> None:
+    """Moving averages have a nilpotent A: 1 + 1.8 cos θ + 1.2 cos 2θ falls to −.5375."""
+    A, C = np.array([[0.0, 1.0], [0.0, 0.0]]), np.array([[1.0, 0.0]])
+    found = innovation_form(A, C, np.array([[0.9], [0.6]]), np.eye(1))
+    assert found is not None
+    assert 0.5375 <= found[3] <= 1.25 * 0.5375

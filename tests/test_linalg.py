@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
+from threading import Event, Thread
+
 import numpy as np
 import pytest
-from threadpoolctl import threadpool_info
+from threadpoolctl import ThreadpoolController, threadpool_info, threadpool_limits
 
 from vibrid import linalg
 from vibrid.linalg import (
@@ -138,22 +142,61 @@ def test_left_whitener(rng: np.random.Generator) -> None:
     np.testing.assert_allclose(np.linalg.svd(inverse @ matrix, compute_uv=False), 1, atol=1e-12)
 
 
+def blas_threads() -> list[int]:
+    return [each["num_threads"] for each in threadpool_info() if each["user_api"] == "blas"]
+
+
+@contextmanager
+def two_blas_threads() -> Iterator[None]:
+    """Two threads a BLAS, which any thread may change: the tests' own limit is set aside."""
+    with threadpool_limits(2, user_api="blas"):
+        for pool in ThreadpoolController().select(user_api="blas").lib_controllers:
+            if hasattr(pool, "clear_controlling_thread"):
+                pool.clear_controlling_thread()
+        yield
+
+
 def test_one_blas_thread_is_limited_and_given_back() -> None:
     """Inside, every BLAS runs on one thread; outside as before, also after an error."""
-
-    def threads() -> list[int]:
-        return [each["num_threads"] for each in threadpool_info() if each["user_api"] == "blas"]
-
-    before = threads()
-    with pytest.raises(RuntimeError, match="stop"), one_blas_thread():
-        assert set(threads()) == {1}
-        raise RuntimeError("stop")
-    assert threads() == before
-    with one_blas_thread():
+    with two_blas_threads():
+        before = blas_threads()
+        with pytest.raises(RuntimeError, match="stop"), one_blas_thread():
+            assert set(blas_threads()) == {1}
+            raise RuntimeError("stop")
+        assert blas_threads() == before
         with one_blas_thread():
-            pass
-        assert set(threads()) == {1}
-    assert threads() == before
+            with one_blas_thread():
+                pass
+            assert set(blas_threads()) == {1}
+        assert blas_threads() == before
+
+
+def test_one_blas_thread_of_several_threads() -> None:
+    """The last to leave gives the count back, also where another came first and still runs."""
+    entered, leave, left, end = Event(), Event(), Event(), Event()
+
+    def first() -> None:
+        with one_blas_thread():
+            entered.set()
+            leave.wait(10)
+        left.set()
+        end.wait(10)
+
+    with two_blas_threads():
+        before = blas_threads()
+        other = Thread(target=first)
+        other.start()
+        entered.wait(10)
+        with one_blas_thread():
+            leave.set()
+            left.wait(10)
+            assert set(blas_threads()) == {1}
+        assert blas_threads() == before
+        with one_blas_thread():
+            assert set(blas_threads()) == {1}
+        end.set()
+        other.join()
+        assert blas_threads() == before
 
 
 def test_root_of_a_semidefinite_matrix(rng: np.random.Generator) -> None:

@@ -121,7 +121,7 @@ def test_a_filled_gap_is_named(rng: np.random.Generator) -> None:
     torn = vb.Record(y, u, dt=DT, output_channels=names)
     fit = vb.identify(torn, vb.N4SID(block_rows=10), order=6, stability="project")
     said = {finding.code: finding.sentence for finding in fit.diagnostics.findings}
-    assert said["stuck-channel"].startswith("filled keep one value")
+    assert said["stuck-channel"].startswith("filled keeps one value")
     assert "6.67 % of the samples" in said["stuck-channel"]
     assert "dead-channel" not in said
 

@@ -139,13 +139,13 @@ def _positive_real(
 ) -> tuple[Floats, Floats, Floats] | None:
     try:
         P = state_error_covariance(A, C, np.zeros_like(A), -L0, -G)
+        innovation = L0 - C @ P @ C.T
+        gain = np.asarray(np.linalg.solve(innovation, (G - A @ P @ C.T).T).T, dtype=float)
     except (np.linalg.LinAlgError, ValueError):
         return None
-    innovation = L0 - C @ P @ C.T
     if not np.isfinite(P).all() or np.linalg.eigvalsh(innovation)[0] <= 0:
         return None
-    gain = np.asarray(np.linalg.solve(innovation, (G - A @ P @ C.T).T).T, dtype=float)
-    if spectral_radius(A - gain @ C) >= DETECTABLE:
+    if not np.isfinite(gain).all() or spectral_radius(A - gain @ C) >= DETECTABLE:
         return None
     return gain, innovation, (P + P.T) / 2
 
@@ -153,10 +153,8 @@ def _positive_real(
 def _lowest_spectrum(A: Floats, C: Floats, G: Floats, L0: Floats) -> float:
     """Return the lowest eigenvalue of the spectrum on a grid, outputs scaled to variance one."""
     size = np.sqrt(np.diag(L0))
-    poles, vectors = np.linalg.eig(A)
-    angles = np.concatenate([np.linspace(0, np.pi, GRID), np.abs(np.angle(poles))])
-    z = np.exp(1j * angles)
-    left, right = C @ vectors, np.linalg.solve(vectors, G.astype(complex))
-    causal = (left / (z[:, None, None] - poles)) @ right
+    angles = np.concatenate([np.linspace(0, np.pi, GRID), np.abs(np.angle(np.linalg.eigvals(A)))])
+    shifted = np.exp(1j * angles)[:, None, None] * np.eye(len(A)) - A
+    causal = C @ np.linalg.solve(shifted, G.astype(complex))  # A may lack eigenvectors
     spectrum = L0 + causal + causal.conj().transpose(0, 2, 1)
     return float(np.linalg.eigvalsh(spectrum / np.outer(size, size)).min())

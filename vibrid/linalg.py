@@ -32,16 +32,26 @@ class _OneThread(ContextDecorator):
             self._users += 1
             if self._users == 1:
                 found = [(pool, pool.num_threads) for pool in _blas()]
-                self._lifted = [(pool, count) for pool, count in found if count != 1]
-                for pool, _ in self._lifted:
-                    pool.set_num_threads(1)
+                for pool, count in found:
+                    if count != 1:
+                        pool.set_num_threads(1)
+                # where another thread of the caller's holds a limit of its own, that stays
+                self._lifted = [each for each in found if each[1] != each[0].num_threads]
 
     def __exit__(self, *_: object) -> None:
         with self._lock:
             self._users -= 1
             if self._users == 0:
                 for pool, count in self._lifted:
+                    _release(pool)  # the last to leave need not be who came first
                     pool.set_num_threads(count)
+                    _release(pool)
+
+
+def _release(pool: LibController) -> None:
+    """Let any thread set the count: threadpoolctl ≥ 3.8 lets the first that did alone."""
+    if hasattr(pool, "clear_controlling_thread"):
+        pool.clear_controlling_thread(force=True)
 
 
 @cache
@@ -128,7 +138,7 @@ def divide_by_lower(matrix: Floats, lower: Floats) -> tuple[Floats, int]:
     n = len(lower)
     if n == 0:
         return np.zeros((len(matrix), 0)), 0
-    diagonal = np.abs(np.diag(lower))
+    diagonal = np.abs(lower.diagonal())
     if diagonal.min() > np.sqrt(RANK_TOLERANCE) * diagonal.max():
         return np.asarray(sla.lapack.dtrtrs(lower, matrix.T, lower=1, trans=1)[0].T), n
     left, values, right = sla.svd(lower, full_matrices=False)
@@ -140,7 +150,7 @@ def solve_upper(upper: Floats, right_hand_side: Floats) -> Floats:
     """Solve upper · x = right_hand_side in the least-squares sense, of minimum norm if singular."""
     if len(upper) == 0 or right_hand_side.shape[1] == 0:
         return np.zeros((len(upper), right_hand_side.shape[1]))
-    diagonal = np.abs(np.diag(upper))
+    diagonal = np.abs(upper.diagonal())
     if diagonal.min() > RANK_TOLERANCE * diagonal.max():
         return np.asarray(sla.lapack.dtrtrs(upper, right_hand_side)[0])
     return np.asarray(sla.lstsq(upper, right_hand_side, cond=RANK_TOLERANCE)[0])
@@ -148,7 +158,7 @@ def solve_upper(upper: Floats, right_hand_side: Floats) -> Floats:
 
 def semidefinite_root(gram: Floats) -> Floats:
     """Return R with RᵀR = gram, directions at rounding level left out (pivoted Cholesky)."""
-    size = np.sqrt(np.diag(gram))
+    size = np.sqrt(gram.diagonal())
     size[size == 0] = 1
     upper, order, rank, _ = sla.lapack.dpstrf(gram / size / size[:, None])
     root = np.zeros((rank, len(gram)))
@@ -164,7 +174,7 @@ def left_whitener(matrix: Floats) -> tuple[Floats, Floats]:
     """
     rows = len(matrix)
     root = triangle(matrix.T).T
-    diagonal = np.abs(np.diag(root))
+    diagonal = np.abs(root.diagonal())
     if root.shape == (rows, rows) and diagonal.min() > np.sqrt(RANK_TOLERANCE) * diagonal.max():
         return root, np.asarray(sla.lapack.dtrtri(root, lower=1)[0])
     left, values, _ = sla.svd(root, full_matrices=False)

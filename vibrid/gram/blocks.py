@@ -130,11 +130,11 @@ class BlockGram:
         row (a force that acts once, before the row begins), comes out as exact zeros.
         """
         gram = self._expanded()
-        size = np.diag(gram).reshape(self.n_rows, self.n_channels).max(axis=0)
+        size = gram.diagonal().reshape(self.n_rows, self.n_channels).max(axis=0)
         if self.offset == "estimate":
             rows = self._row_sums()
             gram -= (rows / self._lengths[:, None]).T @ rows
-        left = np.diag(gram).reshape(self.n_rows, self.n_channels)
+        left = gram.diagonal().reshape(self.n_rows, self.n_channels)
         still = (left <= ROUNDING_SHARE * size).ravel()
         if still.any():
             gram[still, :] = 0

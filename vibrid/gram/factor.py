@@ -66,7 +66,7 @@ def scaled_cholesky(gram: Floats) -> tuple[Floats | None, float]:
 
     A column of zeros is left out of the test and has a zero row and column in the factor.
     """
-    empty = np.flatnonzero(np.diag(gram) == 0)
+    empty = np.flatnonzero(gram.diagonal() == 0)
     if len(empty):
         gram = gram.copy()
         gram[empty, empty] = 1
@@ -74,7 +74,7 @@ def scaled_cholesky(gram: Floats) -> tuple[Floats | None, float]:
     upper, failed = sla.lapack.dpotrf(gram.T)
     if failed:
         return None, np.nan
-    pivot = float((np.diag(upper) ** 2 / np.diag(gram)).min(initial=1.0))
+    pivot = float((upper.diagonal() ** 2 / gram.diagonal()).min(initial=1.0))
     if not pivot > PIVOT_LIMIT:
         return None, pivot
     upper[empty, empty] = 0

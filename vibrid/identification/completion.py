@@ -188,7 +188,7 @@ def _choose(
         form = next(iter(forms))
         return form, "it is the only form that these data and the Kalman gain allow"
     if completion in forms:
-        return completion, "as asked for"
+        return completion, "as the method has it"
     if completion == "regression":
         return "prediction", "only the initial states were left to find"
     if len({piece.owner for piece in pieces}) == len(pieces):

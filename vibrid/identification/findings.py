@@ -28,7 +28,9 @@ def with_reasons(fit: Fit, stream: Stream | None, choice: Choice) -> Fit:
         figures["orders"] = choice.scan.orders
         figures["criterion"] = choice.scan.criterion
         figures["held_out_errors"] = choice.held_out
-        figures["persistence"] = choice.scan.persistence(modes_of(fit), fit.order // 2)
+        if choice.scan.rank is None:  # below the rank of noise-free data no order is right
+            persistence = choice.scan.persistence(modes_of(fit), fit.order // 2)
+            figures["persistence"] = persistence
     known = fit.diagnostics.findings
     more = [each for each in choice.decomposition.findings if each not in known]
     return with_findings(replace(fit, diagnostics=fit.diagnostics.joined(figures, more)), stream)

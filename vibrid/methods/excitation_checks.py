@@ -223,9 +223,9 @@ def _clipped(
         Finding(
             "clipping",
             "warning",
-            f"{_listed([channels[int(k)].name for k in seen])} rest on their largest or smallest "
-            f"value (up to {100 * count[worst] / n_samples:.2g} % of the samples): clipped, or "
-            "resolved too coarsely.",
+            f"{_subject(channels, seen, 'rest')} on the largest or smallest value (up to "
+            f"{100 * count[worst] / n_samples:.2g} % of the samples): clipped, or resolved too "
+            "coarsely.",
             "Record with a larger range, or mark these samples as missing (NaN).",
         )
     ]
@@ -247,7 +247,7 @@ def _dead(channels: Sequence[Channel], still: Floats, deviation: Floats) -> list
         Finding(
             "dead-channel",
             "warning",
-            f"{_listed([channels[int(k)].name for k in seen])} hardly move: at most "
+            f"{_subject(channels, seen, 'hardly move')}: at most "
             f"{(deviation / typical)[seen].max():.2g} of their kind's deviation, or the same "
             f"value as the sample before in up to {100 * still[seen].max():.3g} % of the samples.",
             "Check the sensor and its range, or leave the channel out.",
@@ -267,12 +267,18 @@ def _stuck(
         Finding(
             "stuck-channel",
             "doubt",
-            f"{_listed([channels[int(k)].name for k in seen])} keep one value for {STUCK_RUN} "
+            f"{_subject(channels, seen, 'keep')} one value for {STUCK_RUN} "
             f"samples or longer, in all up to {100 * share[seen].max():.3g} % of the samples: a "
             "gap that was filled, a loose cable, or a structure at rest.",
             "Mark these samples as missing (NaN) unless the structure was at rest.",
         )
     ]
+
+
+def _subject(channels: Sequence[Channel], seen: NDArray[np.int64], verb: str) -> str:
+    """Return the names of the channels that were seen, and the verb in their number."""
+    names = _listed([channels[int(k)].name for k in seen])
+    return f"{names} {verb}{'s' if len(seen) == 1 else ''}"
 
 
 def _listed(names: Sequence[str]) -> str:

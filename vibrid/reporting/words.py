@@ -15,6 +15,7 @@ from ..fit import Finding
 from ..record import Channel, Record
 
 NAMES_SHOWN = 6
+LONG = 1e7  # numbers from here on are shown in powers of ten
 
 
 def heading(words: str) -> Text:
@@ -53,8 +54,14 @@ def add(target: Table, *cells: str, style: str = "") -> None:
 
 
 def number(value: float, form: str = ".4g") -> str:
-    """Return a number, or – where there is none."""
-    return format(value, form) if math.isfinite(value) else "–"
+    """Return a number, or – where there is none; one that is too long in powers of ten.
+
+    >>> number(12.345, ".1f"), number(-3.2e80, ".1f"), number(math.nan)
+    ('12.3', '-3.2e+80', '–')
+    """
+    if not math.isfinite(value):
+        return "–"
+    return format(value, form if abs(value) < LONG else ".3g")
 
 
 def change(ratio: float, digits: int) -> str:

@@ -92,7 +92,9 @@ def _log_det(errors: Floats, outputs: Floats, samples: int) -> float:
 def _free_responses(C: Floats, A: Floats, count: int) -> Floats:
     """Return C Aᵏ for k ≤ count."""
     free = np.empty((count + 1, *C.shape))
-    free[0] = C
-    for k in range(count):
-        free[k + 1] = free[k] @ A
+    free[0], power, known = C, A, 1
+    while known <= count:  # by doubling
+        more = free[known : 2 * known]
+        more[...] = free[: len(more)] @ power
+        known, power = 2 * known, power @ power
     return free

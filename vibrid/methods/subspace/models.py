@@ -32,6 +32,7 @@ from .states import NOISE_FREE
 
 Matrices = tuple[Floats, Floats, Floats, Floats]  # A, B, C, D
 Model = TypeVar("Model", Realization, "Draft")
+NO_NOISE = "none: no noise to learn it from"
 PREPARED = (8, 16, 64)  # states prepared together; larger orders prepare all there are
 
 
@@ -252,13 +253,21 @@ class Subspace:
     def _by_regression(self, order: int) -> Matrices:
         u, x, after, y = self._split(order)
         m, q = u.shape[1], u.shape[1] + order
-        regressors, targets = np.hstack([u, x])[:q], np.hstack([after, y])[:q]
-        found = solve_upper(regressors, targets).T
-        A, B, C, D = found[:order, m:], found[:order, :m], found[order:, m:], found[order:, :m]
-        still = ~self.feedthrough
-        if still.any() and m:
-            C[still] = np.linalg.lstsq(x, y[:, still], rcond=None)[0].T
-            D[still] = 0
+        still = ~self.feedthrough if m else np.zeros(y.shape[1], dtype=bool)
+        columns, known = np.hstack([u, x, after, y]), q
+        if still.any():
+            C_still = np.linalg.lstsq(x, y[:, still], rcond=None)[0].T
+        if still.any() and self.feedback and self.feedback.suspected:
+            # a controller that answers within the sample lets u(t) know the innovations of these
+            # outputs: they take part in the regression, where they are more than rounding
+            left, size = np.linalg.norm(y[q:, still], axis=0), np.linalg.norm(y[:, still], axis=0)
+            errors = (y[:, still] - x @ C_still.T)[:, left > NOISE_FREE * size]
+            columns, known = triangle(np.hstack([u, x, errors, after, y])), q + errors.shape[1]
+        found = solve_upper(columns[:known, :known], columns[:known, known:]).T
+        A, B = found[:order, m:q], found[:order, :m]
+        C, D = found[order:, m:q], found[order:, :m]
+        if still.any():
+            C[still], D[still] = C_still, 0
         return A, B, C, D
 
     def _by_shift(self, order: int) -> Matrices:
@@ -282,10 +291,10 @@ class Subspace:
             innovation=output_error.T @ output_error / samples,
             state_covariance=x.T @ x / samples,
             transition=draft.transition,
-            gain="none: no noise to learn it from",
+            gain=NO_NOISE,
         )
         size = (y**2).sum(axis=0) / samples
-        if not (np.diag(still.innovation) > NOISE_FREE**2 * size).any():
+        if not (still.innovation.diagonal() > NOISE_FREE**2 * size).any():
             return still
         found, *_ = np.linalg.lstsq(output_error, state_error, rcond=1e-10)
         regressed = replace(still, K=np.asarray(found.T, dtype=np.float64), gain="regression")

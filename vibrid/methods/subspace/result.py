@@ -6,7 +6,7 @@ from typing import Any
 
 from ...fit import Diagnostics, Fit
 from ..result import Realization, as_fit, factor_findings, gain_findings
-from .models import Subspace
+from .models import NO_NOISE, Subspace
 
 
 def subspace_fit(method: Any, subspace: Subspace, found: Realization) -> Fit:
@@ -24,7 +24,6 @@ def subspace_fit(method: Any, subspace: Subspace, found: Realization) -> Fit:
 
 def _diagnostics(subspace: Subspace, found: Realization) -> Diagnostics:
     layout, factor = subspace.layout, subspace.factor
-    memory = found.predictor_radius**layout.past_rows
     figures = {
         "past_rows": layout.past_rows,
         "future_rows": layout.future_rows,
@@ -33,6 +32,7 @@ def _diagnostics(subspace: Subspace, found: Realization) -> Diagnostics:
         "smallest_pivot": factor.smallest_pivot,
         "transition": found.transition,
         "gain": found.gain,
-        "predictor_memory": memory,
     }
+    if found.gain != NO_NOISE:  # without noise every past is long enough, and there is no K
+        figures["predictor_memory"] = found.predictor_radius**layout.past_rows
     return Diagnostics(figures, (*factor_findings(factor), *gain_findings(found)))

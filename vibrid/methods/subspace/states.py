@@ -51,7 +51,7 @@ def _whitened(outputs: Floats, n_past: int) -> tuple[Floats, Floats]:
     T is nearly singular; an inverse of T would mix correlations that are nearly one.
     """
     Q, upper = sla.qr(outputs, mode="economic", check_finite=False)
-    diagonal = np.abs(np.diag(upper))
+    diagonal = np.abs(upper.diagonal())
     if len(upper) == len(upper.T) and diagonal.min() > RANK_TOLERANCE * diagonal.max():
         return upper.T, Q[:n_past].T
     root, inverse = left_whitener(outputs.T)

@@ -252,23 +252,33 @@ class Subspace:
 
     def _by_regression(self, order: int) -> Matrices:
         u, x, after, y = self._split(order)
-        m, q = u.shape[1], u.shape[1] + order
-        still = ~self.feedthrough if m else np.zeros(y.shape[1], dtype=bool)
-        columns, known = np.hstack([u, x, after, y]), q
-        if still.any():
-            C_still = np.linalg.lstsq(x, y[:, still], rcond=None)[0].T
-        if still.any() and self.feedback and self.feedback.suspected:
-            # a controller that answers within the sample lets u(t) know the innovations of these
-            # outputs: they take part in the regression, where they are more than rounding
-            left, size = np.linalg.norm(y[q:, still], axis=0), np.linalg.norm(y[:, still], axis=0)
-            errors = (y[:, still] - x @ C_still.T)[:, left > NOISE_FREE * size]
-            columns, known = triangle(np.hstack([u, x, errors, after, y])), q + errors.shape[1]
-        found = solve_upper(columns[:known, :known], columns[:known, known:]).T
-        A, B = found[:order, m:q], found[:order, :m]
-        C, D = found[order:, m:q], found[order:, :m]
-        if still.any():
+        m, still = u.shape[1], ~self.feedthrough
+        if m == 0 or not still.any():
+            columns, q = np.hstack([u, x, after, y]), m + order
+        else:
+            found, *_ = np.linalg.lstsq(x, y[:, still], rcond=None)
+            C_still = np.asarray(found.T, dtype=np.float64)
+            known = np.hstack([u, x, self._fed_back(order, still, C_still)])
+            columns, q = triangle(np.hstack([known, after, y])), known.shape[1]
+        found = solve_upper(columns[:q, :q], columns[:q, q:]).T
+        own = slice(m, m + order)
+        A, B, C, D = found[:order, own], found[:order, :m], found[order:, own], found[order:, :m]
+        if m and still.any():
             C[still], D[still] = C_still, 0
         return A, B, C, D
+
+    def _fed_back(self, order: int, still: NDArray[np.bool_], C_still: Floats) -> Floats:
+        """Return the innovations of outputs without D that u(t) may know, where feedback is seen.
+
+        A controller that answers within the sample carries them into u(t), so that they have to
+        take part in the regression; but not where they are no more than rounding.
+        """
+        _, x, _, y = self._split(order)
+        errors = y[:, still] - x @ C_still.T
+        if not (self.feedback and self.feedback.suspected):
+            return errors[:, :0]
+        left = np.linalg.norm(y[self.layout.n_inputs + order :, still], axis=0)
+        return errors[:, left > NOISE_FREE * np.linalg.norm(y[:, still], axis=0)]
 
     def _by_shift(self, order: int) -> Matrices:
         u, x, after, y = self._split(order)

@@ -30,3 +30,10 @@ def test_innovations_of_one_dimension_are_no_error() -> None:
         found = innovation_form(A, C, G, C @ P @ C.T + e @ e.T)
         assert found is not None
         assert spectral_radius(A - found[0] @ C) < 1
+
+
+def test_orders_below_the_rank_do_not_doubt_exact_modes(rng: np.random.Generator) -> None:
+    """The rank chooses the order; that smaller ones miss the modes says nothing against them."""
+    fit = vb.identify(noisy_chain(rng, noise=0.0), vb.N4SID(block_rows=10))
+    assert fit.order == 6
+    assert "persistence" not in fit.diagnostics.figures

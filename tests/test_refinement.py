@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from refining_cases import DT, bench
 
 import vibrid as vb
 from studies.bounds import shaker_bound
@@ -19,15 +20,7 @@ from vibrid.record import Floats
 from vibrid.refinement import Search, eliminate, held_out_curve, refine_output_error
 from vibrid.scores import fit_percent, relative_error, start_samples
 from vibrid.statespace import StateSpace
-from vibrid.structures import Structure, chain
 from vibrid.varpro import signals
-
-DT = 0.01
-
-
-def bench(n_dof: int = 3, damping_ratio: float = 0.01) -> Structure:
-    """Return a chain with modes well inside the band."""
-    return chain(np.ones(n_dof), np.full(n_dof, 1.5e4), damping_ratio=damping_ratio)
 
 
 def shaker_test(
@@ -85,8 +78,8 @@ def test_exact_data_give_the_exact_model(rng: np.random.Generator) -> None:
     start = spoiled(vb.identify(record, vb.N4SID(block_rows=10), order=6))
     fit = refine(start, record)
     modes = vb.modes_of(fit)
-    np.testing.assert_allclose(modes.damping_ratios, bench().damping_ratios, rtol=1e-9)
-    np.testing.assert_allclose(modes.frequencies_hz, bench().frequencies_hz, rtol=1e-10)
+    np.testing.assert_allclose(modes.damping_ratios, bench(3).damping_ratios, rtol=1e-9)
+    np.testing.assert_allclose(modes.frequencies_hz, bench(3).frequencies_hz, rtol=1e-10)
     assert fit.diagnostics.figures["converged"]
     assert not fit.kalman_gain.any()
 
@@ -133,7 +126,7 @@ def test_an_unstable_start_is_reflected(rng: np.random.Generator) -> None:
     assert not start.model.is_stable
     fit = refine(start, record)
     assert fit.model.is_stable
-    np.testing.assert_allclose(vb.modes_of(fit).frequencies_hz, bench().frequencies_hz, rtol=2e-3)
+    np.testing.assert_allclose(vb.modes_of(fit).frequencies_hz, bench(3).frequencies_hz, rtol=2e-3)
 
 
 def test_several_records_with_gaps(rng: np.random.Generator) -> None:
@@ -146,7 +139,7 @@ def test_several_records_with_gaps(rng: np.random.Generator) -> None:
         records.append(vb.Record(y, record.inputs, dt=DT))
     start = spoiled(vb.identify(records, vb.N4SID(block_rows=10), order=6))
     fit = refine(start, records)
-    np.testing.assert_allclose(vb.modes_of(fit).damping_ratios, bench().damping_ratios, rtol=1e-8)
+    np.testing.assert_allclose(vb.modes_of(fit).damping_ratios, bench(3).damping_ratios, rtol=1e-8)
     assert fit.initial_states.shape == (4, 6)
     offsets = fit.diagnostics.figures["record_offsets"]
     np.testing.assert_allclose(offsets, [[5, -3, 0], [10, -3, 0]], atol=1e-6)
@@ -177,7 +170,7 @@ def test_memory_mapped_records_in_small_chunks(
 
 def test_free_decay_without_inputs(rng: np.random.Generator) -> None:
     """Outputs alone that ring down refine by their initial state."""
-    frame = bench()
+    frame = bench(3)
     record = frame.simulate(None, DT, initial_state=rng.standard_normal(6), n_samples=400)
     y = np.asarray(record.outputs)
     noisy = vb.Record(y + 0.01 * y.std() * rng.standard_normal(y.shape), dt=DT)
@@ -226,7 +219,7 @@ def test_standard_deviations_are_the_bound(rng: np.random.Generator) -> None:
     clean = shaker_test(rng, noise=0.0)
     record, std = noisy_copy(clean, 0.02, 1)
     fit = refine(vb.identify(record, vb.N4SID(block_rows=20), order=6), record)
-    truth = bench().state_space("acceleration", ["f1"]).to_discrete(DT)
+    truth = bench(3).state_space("acceleration", ["f1"]).to_discrete(DT)
     frequencies, damping = shaker_bound(truth, clean, std)
     np.testing.assert_allclose(fit.diagnostics.figures["frequencies_std"], frequencies, rtol=0.05)
     np.testing.assert_allclose(fit.diagnostics.figures["damping_std"], damping, rtol=0.05)
@@ -262,7 +255,7 @@ def test_elimination_finds_the_true_order(rng: np.random.Generator) -> None:
     assert costs[6] < 1.02
     assert min(cost for order, cost in costs.items() if order < 6) > 5
     np.testing.assert_allclose(
-        vb.modes_of(found.refined(6)).frequencies_hz, bench().frequencies_hz, rtol=1e-3
+        vb.modes_of(found.refined(6)).frequencies_hz, bench(3).frequencies_hz, rtol=1e-3
     )
     with pytest.raises(OptionError, match="order=0 is below"):
         found.at(0)

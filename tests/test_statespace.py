@@ -7,7 +7,14 @@ import pytest
 import scipy.linalg
 
 from vibrid.errors import DataError, OptionError, UnstableModelError
-from vibrid.statespace import Lifting, StateSpace, simulate, simulate_states, state_shift
+from vibrid.statespace import (
+    Lifting,
+    StateSpace,
+    free_responses,
+    simulate,
+    simulate_states,
+    state_shift,
+)
 
 HOLDS = ("zoh", "foh", "band_limited")
 
@@ -213,6 +220,19 @@ def test_transform_keeps_the_responses():
     product = model.observability_matrix(3) @ model.controllability_matrix(3)
     np.testing.assert_allclose(product[:2, :2], model.C @ model.B, atol=1e-12)
     np.testing.assert_allclose(product[2:4, 2:4], model.C @ model.A @ model.A @ model.B, atol=1e-12)
+
+
+@pytest.mark.parametrize("count", [1, 2, 7, 8, 9])
+def test_free_responses_are_those_of_a_plain_loop(count):
+    """C Aᵏ for every number of steps, whole powers of two or not."""
+    A, _, C, _ = random_matrices(4, 2, 2)
+    expected = [C @ np.linalg.matrix_power(A, k) for k in range(count)]
+    np.testing.assert_allclose(free_responses(A, C, count), expected, atol=1e-13)
+
+
+def test_free_responses_that_overflow_are_not_finite():
+    """No warning: what is not finite says it."""
+    assert not np.isfinite(free_responses(1e200 * np.eye(2), np.eye(2), 4)).all()
 
 
 @pytest.mark.parametrize("dt", [None, 0.1])

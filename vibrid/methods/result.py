@@ -17,25 +17,34 @@ from ..linalg import one_blas_thread
 from ..record import Floats
 from ..statespace import StateSpace
 
+Matrices = tuple[Floats, Floats, Floats, Floats]  # A, B, C, D
+NO_NOISE = "none: no noise to learn it from"
+
 
 @dataclass(frozen=True, eq=False)
-class Realization:
-    """An innovations model in a stream's scaled units, and how it was found."""
+class Draft:
+    """A model in a stream's scaled units without its gain, and how A and C were found."""
 
     A: Floats
     B: Floats
     C: Floats
     D: Floats
-    K: Floats
-    innovation: Floats
-    state_covariance: Floats
     transition: str
-    gain: str
 
     @cached_property
     def radius(self) -> float:
         """Spectral radius of A."""
         return spectral_radius(self.A)
+
+
+@dataclass(frozen=True, eq=False)
+class Realization(Draft):
+    """An innovations model in a stream's scaled units, and how its gain was found."""
+
+    K: Floats
+    innovation: Floats
+    state_covariance: Floats
+    gain: str
 
     @cached_property
     def predictor_radius(self) -> float:

@@ -15,7 +15,7 @@ from ..fit import Finding
 from ..record import Channel, Record
 
 NAMES_SHOWN = 6
-LONG = 1e7  # numbers from here on are shown in powers of ten
+LONG = 1e7  # decimals are for numbers below it
 
 
 def heading(words: str) -> Text:
@@ -54,14 +54,15 @@ def add(target: Table, *cells: str, style: str = "") -> None:
 
 
 def number(value: float, form: str = ".4g") -> str:
-    """Return a number, or – where there is none; one that is too long in powers of ten.
+    """Return a number, or – where there is none; decimals are not shown of a huge one.
 
-    >>> number(12.345, ".1f"), number(-3.2e80, ".1f"), number(math.nan)
-    ('12.3', '-3.2e+80', '–')
+    >>> number(12.345, ".1f"), number(-3.2e80, ".1f"), number(1.23456e7, ".5g"), number(math.nan)
+    ('12.3', '-3.2e+80', '1.2346e+07', '–')
     """
     if not math.isfinite(value):
         return "–"
-    return format(value, form if abs(value) < LONG else ".3g")
+    huge = abs(value) >= LONG and form.endswith("f")
+    return format(value, ".3g" if huge else form)
 
 
 def change(ratio: float, digits: int) -> str:

@@ -1,7 +1,7 @@
 """StateSpace, and the fast simulation under it."""
 
 from .checks import as_inputs, as_state
-from .lifting import Lifting, block_states, simulate, simulate_states
+from .lifting import Lifting, block_states, free_responses, simulate, simulate_states
 from .response import sampled_response
 from .sampling import HOLDS, state_shift
 from .state_space import StateSpace
@@ -13,6 +13,7 @@ __all__ = [
     "as_inputs",
     "as_state",
     "block_states",
+    "free_responses",
     "sampled_response",
     "simulate",
     "simulate_states",

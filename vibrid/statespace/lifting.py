@@ -184,6 +184,29 @@ def simulate_states(
     return simulate(A, B, np.eye(n), np.zeros((n, m)), inputs, initial_state)
 
 
+@np.errstate(over="ignore", invalid="ignore")  # of an unstable A: seen by what is not finite
+def free_responses(A: Floats, C: Floats, count: int) -> Floats:
+    """Return C Aᵏ for k < count, by doubling.
+
+    Parameters
+    ----------
+    A, C : arrays (n, n), (p, n)
+    count : int
+
+    Returns
+    -------
+    array (count, p, n)
+        Not finite where powers overflow.
+    """
+    free = np.empty((count, *C.shape))
+    free[0], power, known = C, A, 1
+    while known < count:
+        more = free[known : 2 * known]
+        more[...] = free[: len(more)] @ power
+        known, power = 2 * known, power @ power
+    return free
+
+
 def _block_length(n: int, m: int, p: int) -> int:
     """Return 32 or 64 samples, fewer when inputs times outputs make the Toeplitz matrix dear."""
     T = 32 if n <= 20 else 64

@@ -254,10 +254,7 @@ class StateSpace:
         """Return [C; CA; …; CA^(k−1)] (k n_outputs, n); k is the order by default."""
         k = self.order if k is None else k
         check_whole("k", k, 1)
-        blocks = [self.C]
-        for _ in range(k - 1):
-            blocks.append(blocks[-1] @ self.A)
-        return np.vstack(blocks)
+        return lifting.free_responses(self.A, self.C, k).reshape(-1, self.order)
 
     def controllability_gramian(self) -> Floats:
         """Return P (n, n): A P Aᵀ − P + B Bᵀ = 0, or A P + P Aᵀ + B Bᵀ = 0 in continuous time.

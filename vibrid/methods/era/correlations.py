@@ -121,10 +121,10 @@ class CorrelationModels(Evidence):
             np.zeros((order, 0)),
             C,
             np.zeros((p, 0)),
+            type(self.method).__name__,
             K,
             innovation,
             states,
-            type(self.method).__name__,
             gain,
         )
         return model, raised

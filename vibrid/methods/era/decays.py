@@ -14,7 +14,7 @@ from ...fit import Diagnostics, Fit, feedthrough_mask
 from ...gram import BlockGram, Factor, factorize, reduce
 from ...kalman import STABLE_TO
 from ...record import Floats
-from ...statespace import StateSpace
+from ...statespace import free_responses
 from ..result import Realization, Remembering, as_fit, factor_findings, gain_findings
 from .evidence import NO_GAIN, NOISE_FREE, Evidence, information
 from .responses import Mask
@@ -73,7 +73,7 @@ class DecayModels(Remembering, Evidence):
     def _realized(self, order: int) -> Realization:
         A, _, C = self.kernel.triplet(order)
         p = self.stream.n_outputs
-        observability = _free_responses(A, C, self.method.rows + 1)
+        observability = free_responses(A, C, self.method.rows + 1).reshape(-1, order)
         if np.isfinite(observability).all():
             states, left = _projected(observability, self._rows.T)
             freedom = self.n_columns * (1 - order / len(observability))
@@ -86,10 +86,10 @@ class DecayModels(Remembering, Evidence):
             np.zeros((order, 0)),
             C,
             np.zeros((p, 0)),
+            type(self.method).__name__,
             np.zeros((order, p)),
             innovation,
             states @ states.T / self.n_columns,
-            type(self.method).__name__,
             NO_GAIN.format("decays"),
         )
 
@@ -124,7 +124,8 @@ class DecayModels(Remembering, Evidence):
         eq. 1.71c of the realization chapter for any number of decays.
         """
         n, p = len(found.A), self.stream.n_outputs
-        free = _free_responses(found.A, found.C, max(len(head) for head in self.heads))
+        longest = max(len(head) for head in self.heads)
+        free = free_responses(found.A, found.C, longest).reshape(-1, n)
         if not np.isfinite(free).all():
             return np.full((len(self.heads), n), np.nan), np.zeros(p)
         if self.stream.offset == "estimate":
@@ -137,14 +138,6 @@ class DecayModels(Remembering, Evidence):
         )
         constants = np.average(solved[:, n:], axis=0, weights=[len(head) for head in self.heads])
         return solved[:, :n], constants if constants.size else np.zeros(p)
-
-
-def _free_responses(A: Floats, C: Floats, rows: int) -> Floats:
-    """Return [C; C A; …] (rows · p, n); not finite where an unstable model overflows."""
-    with np.errstate(over="ignore", invalid="ignore"):
-        return StateSpace(
-            A, np.zeros((len(A), 0)), C, np.zeros((len(C), 0)), 1.0
-        ).observability_matrix(rows)
 
 
 def _projected(basis: Floats, rows: Floats) -> tuple[Floats, Floats]:

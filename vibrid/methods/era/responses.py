@@ -151,10 +151,10 @@ class ResponseModels(Evidence):
             model.B * u,
             model.C / y[:, None],
             model.D * u / y[:, None],
+            "FIR",
             np.zeros((n, p)),
             np.diag((self.stream.output_deviation / y) ** 2),
             _white_state_covariance(self.kernel.controllability(n), u),
-            "FIR",
             NO_GAIN.format("responses"),
         )
         return as_fit(

@@ -16,12 +16,10 @@ from ...gram import BlockGram
 from ...kalman import DETECTABLE, STABLE_TO, riccati_gain, spectral_radius
 from ...linalg import RANK_TOLERANCE, solve_upper
 from ...record import Floats
+from ...statespace import free_responses
 from ..excitation_checks import data_findings
-from ..result import Realization, Remembering
+from ..result import NO_NOISE, Matrices, Realization, Remembering
 from .regression import NOISE_FREE, Regression
-
-Matrices = tuple[Floats, Floats, Floats, Floats]  # A, B, C, D
-NO_NOISE = "none: no noise to learn it from"
 
 
 @dataclass(frozen=True, eq=False)
@@ -139,7 +137,7 @@ class ObserverModels(Remembering):
         x, errors = self._states_and_errors(matrices, K)
         N = self.n_columns
         innovation, states = errors.T @ errors / N, x.T @ x / N
-        return Realization(*matrices, K, innovation, states, self._transition, gain)
+        return Realization(*matrices, self._transition, K, innovation, states, gain)
 
     @property
     def _transition(self) -> str:
@@ -236,10 +234,7 @@ def state_map(model: Matrices, K: Floats, n_lags: int, weights: Floats) -> Float
     n, p = len(A), len(C)
     driven, direct = np.hstack([B - K @ D, K]), np.hstack([-D, np.eye(p)])
     closed = A - K @ C
-    free = np.empty((n_lags + 1, n, n))
-    free[0] = np.eye(n)
-    for k in range(n_lags):
-        free[k + 1] = free[k] @ closed
+    free = free_responses(closed, np.eye(n), n_lags + 1)
     if not np.isfinite(free).all():
         return np.full((n, n_lags * driven.shape[1]), np.nan)
     seen = ((weights[:, None] * C) @ free[:-1]).reshape(n_lags * p, n)

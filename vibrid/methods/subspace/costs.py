@@ -8,6 +8,7 @@ import numpy as np
 
 from ...linalg import triangle
 from ...record import Floats
+from ...statespace import free_responses
 from ..result import Realization
 from .layout import Layout
 from .states import NOISE_FREE
@@ -27,7 +28,7 @@ def prediction_cost(
     """
     step, p = layout.future_rows - 1, layout.n_outputs
     A, B = model.A - model.K @ model.C, model.B - model.K @ model.D
-    free = _free_responses(model.C, A, step)
+    free = free_responses(A, model.C, step + 1)
     errors = np.zeros((len(R), p))
     first = len(R) - layout.future_rows * p
     errors[: step * layout.n_inputs] = -_stacked(free @ B, step)
@@ -54,7 +55,7 @@ class FreeRun:
     def cost(self, A: Floats, C: Floats, samples: int) -> float:
         """Return the mean over the steps of log det of the covariance of y − C Aᵏ x."""
         (p, n), count = C.shape, len(self.steps)
-        free = _free_responses(C, A, self.steps[-1])
+        free = free_responses(A, C, self.steps[-1] + 1)
         if not np.isfinite(free).all():
             return np.inf
         expected = free[list(self.steps)].reshape(count * p, n).T
@@ -87,14 +88,3 @@ def _log_det(errors: Floats, outputs: Floats, samples: int) -> float:
         return np.inf
     floor = NOISE_FREE**2 * np.diag((outputs**2).sum(axis=0))
     return float(np.linalg.slogdet((errors.T @ errors + floor) / samples)[1])
-
-
-def _free_responses(C: Floats, A: Floats, count: int) -> Floats:
-    """Return C Aᵏ for k ≤ count."""
-    free = np.empty((count + 1, *C.shape))
-    free[0], power, known = C, A, 1
-    while known <= count:  # by doubling
-        more = free[known : 2 * known]
-        more[...] = free[: len(more)] @ power
-        known, power = 2 * known, power @ power
-    return free

@@ -24,15 +24,13 @@ from ...kalman import (
 from ...linalg import one_blas_thread, solve_upper, triangle
 from ...record import Floats
 from ..excitation_checks import data_findings
-from ..result import Realization
+from ..result import NO_NOISE, Draft, Matrices, Realization
 from .costs import FreeRun, free_run, prediction_cost
 from .feedback import Feedback, feedback_of
 from .layout import Layout
 from .states import NOISE_FREE
 
-Matrices = tuple[Floats, Floats, Floats, Floats]  # A, B, C, D
-Model = TypeVar("Model", Realization, "Draft")
-NO_NOISE = "none: no noise to learn it from"
+Model = TypeVar("Model", bound=Draft)
 PREPARED = (8, 16, 64)  # states prepared together; larger orders prepare all there are
 
 
@@ -208,7 +206,7 @@ class Subspace:
             self.factor.triangle, self.layout, self.state_map, model, self.n_columns
         )
 
-    def free_cost(self, model: Draft | Realization) -> float:
+    def free_cost(self, model: Draft) -> float:
         """Return log det of the covariance of what the free response of x = J W_p misses.
 
         Of outputs and states less what the future inputs explain of them; the mean over four
@@ -296,11 +294,10 @@ class Subspace:
         u, x, after, y = self._split(len(A))
         state_error, output_error = after - x @ A.T - u @ B.T, y - x @ C.T - u @ D.T
         still = Realization(
-            *(A, B, C, D),
+            *(A, B, C, D, draft.transition),
             K=np.zeros((len(A), len(C))),
             innovation=output_error.T @ output_error / samples,
             state_covariance=x.T @ x / samples,
-            transition=draft.transition,
             gain=NO_NOISE,
         )
         size = (y**2).sum(axis=0) / samples
@@ -314,22 +311,6 @@ class Subspace:
         if solved is None:
             return replace(still, gain="none: no stable predictor")
         return replace(still, K=solved[0], innovation=solved[1], gain="Riccati")
-
-
-@dataclass(frozen=True, eq=False)
-class Draft:
-    """A model without its gain, of one transition."""
-
-    A: Floats
-    B: Floats
-    C: Floats
-    D: Floats
-    transition: str
-
-    @cached_property
-    def radius(self) -> float:
-        """Spectral radius of A."""
-        return spectral_radius(self.A)
 
 
 def _first_stable(models: Sequence[Model]) -> Model:

@@ -5,8 +5,8 @@ from __future__ import annotations
 from typing import Any
 
 from ...fit import Diagnostics, Fit
-from ..result import Realization, as_fit, factor_findings, gain_findings
-from .models import NO_NOISE, Subspace
+from ..result import NO_NOISE, Realization, as_fit, factor_findings, gain_findings
+from .models import Subspace
 
 
 def subspace_fit(method: Any, subspace: Subspace, found: Realization) -> Fit:
